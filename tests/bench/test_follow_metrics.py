@@ -19,7 +19,9 @@ from gn0.bench.follow_metrics import (
     summarize_following,
 )
 from gn0.bench.follow_record import FollowRecord
+from gn0.bench.follow_recorder import FollowRecorder, count_pixels
 from gn0.errors import EpisodeError
+from gn0.geometry import Pose2D
 from gn0.missions.follow_rules import FOLLOW, FOLLOW_EVT, FollowRules, follow_rules
 from gn0_trials.judge_following import JudgedWalk, judge_following, random_walk
 
@@ -250,6 +252,30 @@ def test_what_comes_after_the_end_changes_nothing() -> None:
     record = behind([1.5] * 26, over_at=2.0)
     longer = behind([1.5] * 26 + [9.0] * 50, over_at=2.0)
     assert compute_follow_metrics(record) == compute_follow_metrics(longer)
+
+
+def test_a_recorder_writes_down_what_a_record_holds() -> None:
+    """People by their numbers, which begin anywhere; who cut the agent short, and when one came."""
+    recorder = FollowRecorder(7, step_seconds=0.2, preferred=1.5, reference_steps=9, picture=100)
+    for _ in range(2):  # a second episode begins with nothing of the first
+        recorder.begin(Pose2D(0, 0, 0), {7: (1.5, 0.0), 3: (0.0, 2.0)}, pixels={7: 9})
+        recorder.step(
+            Pose2D(0.25, 0, 0), {3: (0.0, 2.0), 7: (1.6, 0.0)}, 1, cost=2, pixels={7: 8, 3: 1}
+        )
+        recorder.step(
+            Pose2D(0.25, 0, 0), {3: (0.3, 0.4), 7: (1.7, 0.0)}, 1, hit=3, arrived=True, pixels={}
+        )
+        recorder.step(
+            Pose2D(0.25, 0, 0.3), {3: (0.3, 0.4), 7: (1.7, 0.0)}, 2, arrived=True, pixels={}
+        )
+    record = recorder.record()
+    assert record.people[record.target].tolist() == [[1.5, 0], [1.6, 0], [1.7, 0], [1.7, 0]]
+    assert record.hits is not None and record.hits.tolist() == [-1, 1 - record.target, -1]
+    assert record.times.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.8])
+    assert record.over_at == pytest.approx(0.6)
+    assert record.pixels is not None and record.pixels[record.target].tolist() == [9, 8, 0, 0]
+    assert (record.reference_steps, record.preferred, record.picture) == (9, 1.5, 100)
+    assert count_pixels(np.array([[0, 7], [7, 2]]), [3, 7]) == {3: 0, 7: 2}
 
 
 def test_a_record_that_breaks_off_is_invalid() -> None:

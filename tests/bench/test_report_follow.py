@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.follow_metrics import compute_follow_metrics, score_steps
+from gn0.bench.follow_metrics import FOLLOW_METRICS, compute_follow_metrics, score_steps
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.report import load_run, write_report
@@ -29,6 +29,7 @@ from gn0.bench.results import (
     write_lines,
 )
 from gn0.bench.runner import run_suite
+from gn0.cli.result_tables import print_summaries
 from gn0.missions.follow_rules import FOLLOW_EVT
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import Suite, save_suite
@@ -182,6 +183,18 @@ def test_the_report_has_following_beside_the_rest(run: Path) -> None:
     ends = {row["episode"]: row["follow_end"] for row in cells}
     assert sorted(ends.values()) == ["", "over", "over", "over"]
     assert {row["success"] for row in cells if row["follow_end"]} == {""}
+
+
+def test_the_terminal_has_a_row_for_each_measure(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    print_summaries([load_run(run).summary])
+    said = capsys.readouterr().out
+    rows = [line.split() for line in said.splitlines() if line.strip()]
+    named = [row[0] for row in rows if row[0] in {info.key for info in FOLLOW_METRICS}]
+    assert named == [info.key for info in FOLLOW_METRICS]
+    (rate,) = [row for row in rows if row[0] == "SR" and row[1] == "%"]
+    assert rate[2] == "66.7"
 
 
 def test_a_run_without_following_says_nothing_of_it(flats_suite: Suite, tmp_path: Path) -> None:

@@ -67,6 +67,7 @@ def choose_following(
     time: float,
     others: Sequence[Walker] = (),
     *,
+    person: Walker | None = None,
     barred: bool = False,
 ) -> Action:
     """The next action of an agent that follows; STOP stands still.
@@ -78,8 +79,9 @@ def choose_following(
         navigation: map of the scene, inflated for the agent.
         task: whom it follows, and how.
         pose: of the agent.
-        time: now [s].
+        time: now on the track [s].
         others: where everybody else is, and how they walk: the agent steps on nobody.
+        person: where the person is, and how it walks, if that is not as its track has it.
         barred: not FORWARD, as that was just cut short.
 
     Raises:
@@ -90,12 +92,17 @@ def choose_following(
     wanted = [_wanted(navigation, task, pose, t) for t in moments[[0, -1]]]
     share = np.linspace(0.0, 1.0, STEPS_AHEAD)[:, None]
     ends = np.array([[w.x, w.y] for w in wanted])
-    crowd = np.empty((STEPS_AHEAD, 2, 1 + len(others), 2))
+    here = task.track.place_at(time)
+    walkers = [person or (*here, 0.0, 0.0), *others]
+    off = np.subtract(walkers[0][:2], here)  # who went round something is beside its track
+    crowd = np.empty((STEPS_AHEAD, 2, 1 + len(walkers), 2))
     for k, t in enumerate(moments):
         for part, at in enumerate((t - dt / 2, t)):
-            crowd[k, part, 0] = task.track.place_at(at)
-            for j, (x, y, vx, vy) in enumerate(others):
+            crowd[k, part, 0] = task.track.place_at(at) + off
+            for j, (x, y, vx, vy) in enumerate(walkers):
                 crowd[k, part, 1 + j] = x + vx * (at - time), y + vy * (at - time)
+    if person is None:
+        crowd[:, :, 1] = crowd[:, :, 0]
     free = navigation.nearest_free(wanted[1].x, wanted[1].y)
     if free is None:
         raise PlanError("nothing is walkable near the track", where=f"time {time:g} s")
@@ -162,26 +169,55 @@ class FollowOracle:
         self._still: list[tuple[Place, float]] = []  # where each of the others is, since when
         self._seen: tuple[float, tuple[Place, ...]] = (0.0, ())  # when and where they were last
         self._last: tuple[Pose2D, Action] | None = None
+        self._clock = (0.0, 0.0)  # time since reset, and the time of the track that it was then
         self._around: tuple[tuple[Place, ...], NavigationMap] = ((), navigation)
 
-    def act(self, pose: Pose2D, time: float, others: Sequence[Place] = ()) -> Action:
-        """The next action; `others` are the places (x, y) m of everybody but the person, by number.
+    def act(
+        self,
+        pose: Pose2D,
+        time: float,
+        others: Sequence[Place] = (),
+        person: Place | None = None,
+    ) -> Action:
+        """The next action.
+
+        Args:
+            pose: of the agent.
+            time: since reset [s].
+            others: places (x, y) m of everybody but the person, by number.
+            person: where the person is [m], if it may be behind its track; None: it is on time.
 
         Raises:
             PlanError: the agent is cut off from the trail.
         """
-        walkers = self._watch(time, others)
         walked = self._map_around(pose, time, others)
+        walkers, seen = self._watch(time, [*others, *([] if person is None else [person])]), None
+        if person is not None:
+            time, seen = self._time_on_track(time, person), walkers.pop()
         barred = self._last == (pose, Action.FORWARD)
         try:
-            action = choose_following(walked, self.task, pose, time, walkers, barred=barred)
+            action = choose_following(
+                walked, self.task, pose, time, walkers, person=seen, barred=barred
+            )
         except PlanError:  # shut in by people: wait for them
             if walked is self.navigation:
                 raise
             bare = self.navigation
-            action = choose_following(bare, self.task, pose, time, walkers, barred=barred)
+            action = choose_following(
+                bare, self.task, pose, time, walkers, person=seen, barred=barred
+            )
         self._last = (pose, action)
         return action
+
+    def _time_on_track(self, time: float, person: Place) -> float:
+        """When the track is where the person is: whoever had to wait is later than it."""
+        (before, then), track = self._clock, self.task.track
+        moments = then + np.linspace(0.0, 1.5, 13) * (time - before)
+        off = np.array([math.dist(track.place_at(t), person) for t in moments])
+        near = np.flatnonzero(off <= off.min() + 1e-6)  # who stands is on time
+        on_time = near[np.abs(moments[near] - then - (time - before)).argmin()]
+        self._clock = (time, float(moments[on_time]))
+        return self._clock[1]
 
     def _watch(self, time: float, others: Sequence[Place]) -> list[Walker]:
         """Where the others are, and how they went since the last step."""

@@ -18,18 +18,18 @@ from gn0.maps.distance import GeodesicField
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.ray import trace_points
 from gn0.missions.episode import AgentSpec
+from gn0.paper import FORWARD, LEFT, RIGHT
 from gn0.sim.state import Action
 
 BEAM = 96  # sequences kept after each step
 SAME = 0.02  # m: places nearer than this are one
 NEAR, FAR = 0.8, 2.9  # m: a person nearer fills the picture, one farther is not followed
+SURE = 0.06  # m: of the room, how much may be lacking where a step gains some
 SHOULDER = 0.20  # m off the line of sight: somebody nearer to it hides the person
 HALF_VIEW = math.radians(37.0)  # of the axis: the person is well in view
 OFF_DISTANCE, OFF_REFERENCE, OFF_AXIS = 0.15, 0.05, 0.05  # worth lost a metre, a metre, half a view
 WAY_LEFT, WAY_FAR, SLACK = 1.0, 5.0, 0.75  # worth lost a metre that is left to walk; beyond slack
 CUT_OFF = 1000.0  # m
-
-STOP, FORWARD, LEFT_TURN, RIGHT_TURN = (int(action) for action in Action)
 
 
 def search_steps(
@@ -52,12 +52,13 @@ def search_steps(
         sight: what the person is hidden behind.
         onward: how far it is to where the agent should be after the last step.
         pose: of the agent.
-        crowd: [K, 2, P, 2] m where everybody will be half way through each step and at its end; the
-            person to follow first.
+        crowd: [K, 2, P, 2] m where everybody will be half way through each step and at its end: the
+            person to follow by its track, the same as it has walked till now, then all others.
         references: [K, 2] m where the agent should be after each step.
         agent: the body.
         distance: preferred one [m].
-        room: least distance of the centres of the agent and of anybody, while it walks [m].
+        room: distance of the centres of the agent and of anybody [m] below which it takes no step
+            that does not gain some; 0.06 m less, and it takes none at all.
         barred: the first action is no FORWARD: it was just cut short there.
     """
     frames = [
@@ -78,7 +79,7 @@ def _is_hidden(crowd, x, y):  # type: ignore[no-untyped-def]
     """Whether somebody stands between a place and the person."""
     dx, dy = crowd[1, 0, 0] - x, crowd[1, 0, 1] - y
     square = max(dx * dx + dy * dy, 1e-9)
-    for p in range(1, crowd.shape[1]):
+    for p in range(2, crowd.shape[1]):
         ex, ey = crowd[1, p, 0] - x, crowd[1, p, 1] - y
         part = (ex * dx + ey * dy) / square
         if 0.0 < part < 1.0 and abs(ex * dy - ey * dx) < SHOULDER * math.sqrt(square):
@@ -134,6 +135,8 @@ def _is_room(crowd, x0, y0, x1, y1, room):  # type: ignore[no-untyped-def]
         for p in range(crowd.shape[1]):
             dx, dy = crowd[part, p, 0] - x, crowd[part, p, 1] - y
             now = dx * dx + dy * dy
+            if now < (room - SURE) ** 2:
+                return False
             if now < room * room:
                 bx, by = crowd[part, p, 0] - x0, crowd[part, p, 1] - y0
                 if now <= bx * bx + by * by:
@@ -167,9 +170,9 @@ def _search(  # type: ignore[no-untyped-def]
                         continue
                     if not _is_room(crowd[k], xs[i], ys[i], x1, y1, room):
                         continue
-                elif action == LEFT_TURN:
+                elif action == LEFT:
                     t += 1
-                elif action == RIGHT_TURN:
+                elif action == RIGHT:
                     t -= 1
                 nx[m], ny[m], nt[m] = x1, y1, t
                 nf[m] = action if k == 0 else firsts[i]

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.bench.follow_record import FollowRecord
+from gn0.bench.follow_recorder import FollowRecorder, count_pixels
 from gn0.data.follow import TargetTrack
 from gn0.geometry import Pose2D
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
-from gn0.maps.ray import cast_rays, is_line_free
+from gn0.maps.ray import cast_rays
 from gn0.missions.episode import AgentSpec
 from gn0.sim.kinematics import Heading, step_forward
 from gn0.sim.state import Action
@@ -125,22 +126,22 @@ class Stage:
         self.pose, self.time, self.collided = self.start, 0.0, False
         heading = Heading(self.start.yaw, 0, BODY.turn_degrees)
         over = float(self.tracks[0].times[-1])
-        poses, people, pixels, sights, actions, hits = [], [], [], [], [], []
+        recorder = FollowRecorder(
+            1, step_seconds=BODY.step_seconds, preferred=self.preferred, picture=WIDTH * HEIGHT,
+            reference_steps=math.ceil((over + 3.0) / BODY.step_seconds - 1e-9),
+        )  # fmt: skip
+        numbers = range(1, len(self.tracks) + 1)
 
-        def note() -> None:
-            here = self.places(self.time)
-            numbers, _ = self.look()
-            poses.append(tuple(self.pose))
-            people.append(here)
-            pixels.append([int((numbers == k + 1).sum()) for k in range(len(here))])
-            eye = (self.pose.x, self.pose.y)
-            sights.append([is_line_free(self.sight or self.navigation.grid, eye, p) for p in here])
+        def people() -> dict[int, tuple[float, float]]:
+            return dict(zip(numbers, self.places(self.time), strict=True))
 
-        note()
+        def pixels() -> dict[int, int]:
+            return count_pixels(self.look()[0], numbers)
+
+        recorder.begin(self.pose, people(), pixels=pixels())
         for _ in range(steps):
             action = choose(self)
-            actions.append(int(action))
-            hit = -1
+            hit = None
             self.collided = False
             if action in (Action.LEFT, Action.RIGHT):
                 heading = heading.turned(1 if action == Action.LEFT else -1)
@@ -149,19 +150,15 @@ class Stage:
                 self.time = round(self.time + TICK, 6)
                 if action == Action.FORWARD and not self.collided:
                     hit = self._advance()
-            hits.append(hit)
-            note()
-            if hit >= 0 or self.time >= over + 3.0:
+            recorder.step(
+                self.pose, people(), action, hit=hit, arrived=self.time >= over, pixels=pixels()
+            )
+            if hit is not None or self.time >= over + 3.0 + BODY.step_seconds:
                 break
-        return FollowRecord(
-            np.array(poses), np.array(people).transpose(1, 0, 2), np.array(actions),
-            hits=np.array(hits), pixels=np.array(pixels).T, picture=WIDTH * HEIGHT,
-            in_sight=np.array(sights).T, step_seconds=BODY.step_seconds, over_at=over,
-            preferred=self.preferred, reference_steps=len(actions),
-        )  # fmt: skip
+        return recorder.record()
 
-    def _advance(self) -> int:
-        """One tick of FORWARD; who cut it short, −1 nobody."""
+    def _advance(self) -> int | None:
+        """One tick of FORWARD; the number of who cut it short."""
         x, y, yaw = self.pose
         wanted = step_forward(x, y, yaw, BODY.forward_step * TICK / BODY.step_seconds)
         nx, ny, wall = self.navigation.move(x, y, *wanted)
@@ -169,6 +166,6 @@ class Stage:
             near = math.dist((nx, ny), place)
             if near < BODY.radius + 0.25 and near < math.dist((x, y), place):
                 self.collided = True
-                return k
+                return k + 1
         self.pose, self.collided = Pose2D(nx, ny, yaw), wall
-        return -1
+        return None

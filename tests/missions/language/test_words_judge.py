@@ -92,6 +92,19 @@ def test_who_is_out_of_sight_does_not_count() -> None:
     assert verdict == "cannot tell" and "not in sight" in reason
 
 
+def test_who_is_ahead_is_meant_where_looks_do_not_tell() -> None:
+    white, also = somebody("tee_slim", "white"), somebody("tee_slim", "white", "red")
+    ahead, aside = place(white, 2.6, 1.45), place(also, 3.2, 0.6)
+
+    def judged(people: list[PlacedPerson], ahead: bool) -> str:
+        moments = [Moment(VIEW, people)]
+        return judge_words(room(), CAMERA, moments, SAID, 0, ahead=ahead).verdict
+
+    assert judged([ahead, aside], False) == "does not"
+    assert judged([ahead, aside], True) == "fits"
+    assert judged([aside, ahead], True) == "does not"
+
+
 def test_nothing_is_read_in_the_dark() -> None:
     verdict, reason = judge([place(somebody("tee_slim", "white"), 2.8, 1.4, DARK)])
     assert verdict == "cannot tell" and "too dark" in reason

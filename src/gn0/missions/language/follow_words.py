@@ -50,7 +50,7 @@ _PRONOUNS = {
 
 
 # a clause without a verb, and the orders that can do without one: "follow her into the kitchen"
-_BARE = ("out ", "into ", "from ", "past ", "towards ", "through ")
+_BARE = ("out ", "into ", "from ", "past ", "towards ", "through ", "in front", "just ahead")
 _MOVES = (
     "Follow {who}", "Please follow", "Walk", "Go after", "Could you follow", "Tail", "Trail",
     "Shadow", "Now follow", "Follow along", "Please walk", "Start following",

@@ -93,10 +93,14 @@ class WordsVerdict:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the moments show of somebody at best: pixels in all, and of each part."""
+    """What the moments show of somebody at best: pixels in all, and of each part.
+
+    `aside` is how far the middle of him is from that of the picture at first, in its widths.
+    """
 
     pixels: int
     parts: dict[str, PartReading]
+    aside: float = 1.0
 
 
 def judge_words(
@@ -106,6 +110,8 @@ def judge_words(
     said: Mapping[str, str],
     who: int,
     sight: Sight | None = None,
+    *,
+    ahead: bool = False,
 ) -> WordsVerdict:
     """Whether what is said of a person fits him and nobody else who is in sight.
 
@@ -116,20 +122,26 @@ def judge_words(
         said: what the words say, as `FollowText.said` has it.
         who: number of the person who is meant, from 0, the same at each moment.
         sight: how people are seen.
+        ahead: whether the words say that the person is ahead of the agent; then nobody fits who
+            is less near to the middle of the first picture, and smaller in it.
 
     Raises:
         RenderError: the renderer does not know a cloud, or a view is wrong.
     """
     sight = sight or Sight()
-    best: list[_Seen] = []
-    for moment in moments:
+    first = best = read_people(renderer, camera, moments[0])
+    for moment in moments[1:]:
         seen = read_people(renderer, camera, moment)
-        best = seen if not best else [_better(a, b) for a, b in zip(best, seen, strict=True)]
+        best = [_better(a, b) for a, b in zip(best, seen, strict=True)]
     records = [person.record for person in moments[0].people]
     found = []
     for k, seen_one in enumerate(best):
         apart = frozenset() if k == who else words_apart(records[who], records[k], sight)
-        found.append(_judge_person(seen_one, said, apart, meant=k == who))
+        one = _judge_person(seen_one, said, apart, meant=k == who)
+        behind = first[k].pixels < first[who].pixels and first[k].aside > first[who].aside
+        if ahead and behind and one.verdict in ("fits", "cannot tell"):
+            one = PersonVerdict("does not", "is not the one ahead", one.pixels)
+        found.append(one)
     mine = found[who]
     if mine.verdict == "unseen":
         return WordsVerdict("cannot tell", "the person is not in sight", tuple(found))
@@ -162,7 +174,9 @@ def read_people(renderer: RendererCpu, camera: Camera, moment: Moment) -> list[_
             for name in ("top", "bottom", "shoes", "scarf", "hair", "hat"):
                 mask = here & (shown == PARTS.index(name) + 1)
                 readings[name] = _read_part(linear, mask, light[k])
-        out.append(_Seen(int(here.sum()), readings))
+        columns = np.nonzero(here)[1]
+        middle = float(columns.mean()) / camera.width if len(columns) else 2.0
+        out.append(_Seen(len(columns), readings, abs(middle - 0.5)))
     return out
 
 
@@ -236,7 +250,7 @@ def _better(one: _Seen, other: _Seen) -> _Seen:
             bool(parts[name].colour), parts[name].pixels
         ):  # fmt: skip
             parts[name] = reading
-    return _Seen(max(one.pixels, other.pixels), parts)
+    return _Seen(max(one.pixels, other.pixels), parts, one.aside)
 
 
 def _judge_person(

@@ -140,6 +140,26 @@ def test_files_keep_them_and_their_tracks(
         load_tracks(tmp_path / "s.parquet")
 
 
+def test_vlnce_files_have_the_reference_as_their_ground_truth(
+    missions: tuple[FollowMission, ...], tmp_path: Path
+) -> None:
+    from gn0.missions.sets.vlnce import ExporterVlnce
+
+    exporter, episodes = ExporterVlnce(), [mission.episode for mission in missions]
+    exporter.save(exporter.build(episodes, {}, "test"), tmp_path / "test.json.gz")
+    read = exporter.load(tmp_path / "test.json.gz")
+    assert not any("no ground truth" in note for note in read.notes)
+    for task, episode in zip(read.tasks, episodes, strict=True):
+        assert task.instruction == episode.instruction
+        truth = read.native.truth[task.id]
+        actions = episode.mission.actions  # type: ignore[union-attr]
+        assert truth["actions"] == [int(code) for code in actions if code != "0"] + [0]
+        assert truth["forward_steps"] == actions.count("1")
+        places = [(x, -z) for x, _, z in truth["locations"]]  # x right, y up, z back
+        assert np.allclose(places, episode.path, atol=1e-9)
+        assert len(places) == 1 + actions.count("1")
+
+
 def test_missions_of_before_are_read_and_say_nothing_more(tmp_path: Path) -> None:
     old = MissionFollow(goal=(3.0, 3.0), instruction="Follow me.", human="p0001")
     episode = Episode(id="a", scene_id="hall", mission=old, start=(2.0, 3.0, 0.0), path=())

@@ -34,6 +34,8 @@ from gn0.sim.state import Action
 
 VIOLATIONS = ("too near", "too far", "out of sight", "off axis", "near others")
 
+_ON_TIME = 0.01  # m from where a person would be alone: farther, and somebody held it up
+
 
 def person_track(person: EpisodePerson, seconds: float) -> TargetTrack:
     """Where a person is at each tick with nobody in its way, and where it faces.
@@ -235,10 +237,14 @@ class _Recorder:
         )
 
     def keeps(self, track: TargetTrack) -> bool:
-        """Whether the person is where it would be with nobody in its way, to the bit."""
+        """Whether the person is where it would be with nobody in its way.
+
+        Not to the last bit: kernels round otherwise where somebody is near.
+        """
         tick = round(10 * self.simulator.time)
         at = min(tick, len(track.times) - 1)
-        return bool((self.simulator.company.places[self.row] == track.places[at]).all())
+        away = self.simulator.company.places[self.row] - track.places[at]
+        return bool(np.hypot(away[0], away[1]) <= _ON_TIME)
 
     def note(self, action: int, violation: int, touched: bool = False) -> None:
         self.actions.append(action)

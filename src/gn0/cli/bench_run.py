@@ -36,8 +36,8 @@ class Args(Config, frozen=True):
     """What to run and where to write.
 
     Attributes:
-        suite: a suite folder, or a scene folder; or follow-demo, people to follow in two homes, made
-            on first use.
+        suite: a suite folder, or a scene folder; or follow-demo: people to follow in two homes,
+            made on first use.
         out: the results folder; an interrupted run there is resumed.
         policy: name of a policy (oracle, straight, wall_follower, random, remote, or a plug-in).
         name: what tables, reports and comparisons call this run; by default what the policy

@@ -141,8 +141,9 @@ class FollowTracker:
         """Steps that an undisturbed episode takes, by the rules."""
         mission = episode.mission
         assert isinstance(mission, MissionFollow)
-        ticks = round(10 * (mission.seconds + self.rules.linger))
-        return min(-(-ticks // episode.agent.step_ticks), self.rules.max_steps)
+        step, linger = episode.agent.step_ticks, round(10 * self.rules.linger)
+        arrived = -(-round(10 * mission.seconds) // step)  # steps until that is noticed
+        return min(arrived - (-linger // step), self.rules.max_steps)
 
     def track(self, episode: Episode) -> tuple[FollowReference | None, str]:
         """The reference of an episode whose actions are not known yet, or why there is none.

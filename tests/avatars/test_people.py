@@ -22,6 +22,7 @@ from gn0.viewer.avatar_check import (
     BOTTOM,
     TOP,
     check_avatar,
+    measure_gaps,
     measure_skin,
     read_colour,
     score_colour,
@@ -109,6 +110,22 @@ def test_a_shadow_fades_as_feet_are_lifted(woman: Avatar) -> None:
 def test_no_skin_shows_through_clothes(who: Identity) -> None:
     skin, cloth = measure_skin(build_person(who), trial_poses())
     assert cloth > 10_000 and skin < 1e-3 * cloth
+
+
+def test_clothes_meet_at_neck_wrist_and_waist() -> None:
+    # a shirt in a skirt whose rim is lower in front than behind
+    who = Identity(seed=9, top="long_sleeve", bottom="long_skirt", build="heavy", hair="long01")
+    person = build_person(who, density=0.25)
+    found = measure_gaps(person, trial_poses())
+    assert {name: gaps for name, (gaps, _) in found.items()} == dict.fromkeys(found, 0)
+    assert min(lines for _, lines in found.values()) > 100
+    from dataclasses import replace
+
+    hole = person.part == PARTS.index("top")
+    hole &= np.abs(person.points[:, 1] - person.joints[INDEX["spine1"], 1]) < 0.06
+    torn = replace(person, opacities=np.where(hole, 0, person.opacities).astype(np.float32))
+    gaps, lines = measure_gaps(torn, trial_poses())["waist"]
+    assert gaps > 0.05 * lines
 
 
 @pytest.mark.slow

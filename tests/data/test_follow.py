@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.data.expert_labels import walk_actions
-from gn0.data.follow import TargetTrack, desired_state, label_follow
+from gn0.data.follow import TargetTrack, desired_state, label_follow, reference_state
 from gn0.errors import EpisodeError, PlanError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
@@ -130,3 +130,47 @@ def test_tracks_and_states_without_meaning_are_refused() -> None:
     walled = NavigationMap(OccupancyGrid(np.ones((9, 9), np.uint8), 0.1, (0.0, 0.0)), 0.1)
     with pytest.raises(PlanError, match="nothing is walkable"):
         desired_state(walled, track, 0.0)
+
+
+def test_a_person_faces_the_way_it_walks_unless_the_track_says_where() -> None:
+    track = round_the_corner()
+    assert track.yaw_at(3.0) == 0.0 and track.yaw_at(6.0) == 0.0
+    assert track.yaw_at(6.1) == pytest.approx(math.pi / 2) == track.yaw_at(99.0)
+    turning = TargetTrack(track.times, track.places, np.radians([170.0, -170.0, 0.0]))
+    assert math.degrees(turning.yaw_at(3.0)) % 360 == pytest.approx(180.0)
+    assert turning.yaw_at(-1.0) == pytest.approx(math.radians(170.0))
+    assert turning.yaw_at(99.0) == pytest.approx(0.0)
+    assert TargetTrack(np.zeros(1), np.zeros((1, 2))).yaw_at(5.0) == 0.0
+    with pytest.raises(EpisodeError, match="3 times and 2 headings"):
+        TargetTrack(track.times, track.places, np.zeros(2))
+
+
+@settings(deadline=None)
+@given(st.floats(0, 2 * math.pi), st.floats(1.0, 2.0), st.floats(-0.5, 0.5))
+def test_the_reference_is_behind_and_to_the_right_of_where_the_person_faces(
+    yaw: float, distance: float, lateral: float
+) -> None:
+    """In open space; to the right is −90° from the front."""
+    navigation = NavigationMap(
+        OccupancyGrid(np.zeros((200, 200), np.uint8), 0.05, (0.0, 0.0)), 0.25
+    )
+    track = TargetTrack(np.zeros(1), np.array([[5.0, 5.0]]), np.array([yaw]))
+    agent = (2.0, 3.0)
+    wanted = reference_state(navigation, track, 0.0, agent, distance, lateral)
+    off = complex(wanted.x - 5.0, wanted.y - 5.0) * complex(math.cos(-yaw), math.sin(-yaw))
+    assert (off.real, off.imag) == pytest.approx((-distance, -lateral), abs=1e-9)
+    assert wanted.yaw == pytest.approx(math.atan2(5.0 - 3.0, 5.0 - 2.0))
+
+
+def test_a_reference_in_a_wall_or_behind_one_is_the_place_on_the_trail() -> None:
+    navigation, track = corner_map(), round_the_corner()
+    agent = (6.0, 2.0)
+    # just past the bend: straight behind the person is the wall below the corridor
+    blocked = reference_state(navigation, track, 6.5, agent, 1.5)
+    assert (blocked.x, blocked.y) == pytest.approx((7.0, 2.0))
+    # far to the side: free, but the inner corner stands between
+    sidestep = reference_state(navigation, track, 9.0, agent, 2.0, -4.0)
+    trail = desired_state(navigation, track, 9.0, 2.0)
+    assert (sidestep.x, sidestep.y) == (trail.x, trail.y)
+    open_way = reference_state(navigation, track, 4.0, agent, 1.5, 0.4)
+    assert (open_way.x, open_way.y) == pytest.approx((4.5, 1.6))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import RenderError
 from gn0.geometry import F64, U8, view_from_pose
@@ -183,7 +184,10 @@ def _caption(index: int, trace: EpisodeTrace, hits: set[int], result: EpisodeRes
         text += f" · {ACTION_WORDS.get(trace.actions[index - 1], '?')}"
         if index - 1 in hits:
             text += " (cut short by an obstacle)"
-    if result is not None and result.metrics is not None:
+    if result is not None and isinstance(result.follow, FollowMetrics):
+        verdict = "success" if result.follow.success else f"ended by {result.follow.end}"
+        text += f" · {verdict}, followed {result.follow.following_rate:.0%}"
+    elif result is not None and result.metrics is not None:
         m = result.metrics
         verdict = "success" if m.success else ("stopped too far" if result.stopped else "no stop")
         text += f" · {verdict}, {m.navigation_error_geodesic:.2f} m from the goal"
@@ -191,7 +195,7 @@ def _caption(index: int, trace: EpisodeTrace, hits: set[int], result: EpisodeRes
 
 
 def _colour(result: EpisodeResult) -> tuple[int, int, int]:
-    return GOOD if result.metrics is not None and result.metrics.success else BAD
+    return GOOD if result.success else BAD
 
 
 class _MapPainter:

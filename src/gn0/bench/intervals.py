@@ -49,17 +49,23 @@ def bootstrap_means(
     are not independent (Field and Welsh 2007, the cluster bootstrap).
     """
     v = np.asarray(values, np.float64)
+    return _bootstrap_ratios(v, np.ones(len(v)), clusters, seed, name, resamples)
+
+
+def _bootstrap_ratios(
+    over: F64, under: F64, clusters: Sequence[str] | None, seed: int, name: str, resamples: int
+) -> F64:
+    """Sums of `over` [N] divided by sums of `under` [N], of episodes or clusters drawn again."""
     rng = random_stream(seed, "bootstrap", name)
     names = sorted(set(clusters)) if clusters is not None else []
     sums: F64
     if len(names) >= 2 and clusters is not None:
         index = {name: i for i, name in enumerate(names)}
         member = np.array([index[c] for c in clusters])
-        sums = np.bincount(member, weights=v, minlength=len(names)).astype(np.float64)
-        sizes = np.bincount(member, minlength=len(names)).astype(np.float64)
+        sums = np.bincount(member, weights=over, minlength=len(names)).astype(np.float64)
+        sizes = np.bincount(member, weights=under, minlength=len(names)).astype(np.float64)
     else:
-        sums = v
-        sizes = np.ones(len(v))
+        sums, sizes = over, under
     means = np.empty(resamples)
     block = max(1, 4_000_000 // len(sums))  # at most 32 MB of indices at a time
     for begin in range(0, resamples, block):
@@ -103,13 +109,53 @@ def bootstrap_interval(
             remedy="count the episode as invalid",
         )
     means = bootstrap_means(v, clusters, seed=seed, name=name, resamples=resamples)
-    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
+    return _interval(float(v.mean()), means, clusters, level, len(v))
+
+
+def pooled_interval(
+    over: NDArray[np.floating] | Sequence[float],
+    under: NDArray[np.floating] | Sequence[float],
+    *,
+    clusters: Sequence[str] | None = None,
+    seed: int = 0,
+    name: str = "",
+    level: float = LEVEL,
+    resamples: int = RESAMPLES,
+) -> Interval:
+    """Σ over [N] / Σ under [N] with its interval: episodes count as much as their `under`.
+
+    The arguments are those of `bootstrap_interval`.
+
+    Raises:
+        BenchError: no values, one that is not finite, or an `under` that is not above 0.
+    """
+    a, b = np.asarray(over, np.float64), np.asarray(under, np.float64)
+    if a.ndim != 1 or a.shape != b.shape or not len(a):
+        raise BenchError(
+            f"{a.size} values over {b.size}",
+            where=name,
+            remedy="give as many of both, one at least",
+        )
+    if not (np.isfinite(a).all() and np.isfinite(b).all() and (b > 0).all()):
+        raise BenchError(
+            "a value is not finite, or is divided by nothing",
+            where=name,
+            remedy="leave out episodes that have none",
+        )
+    ratios = _bootstrap_ratios(a, b, clusters, seed, name, resamples)
+    return _interval(float(a.sum() / b.sum()), ratios, clusters, level, len(a))
+
+
+def _interval(
+    mean: float, draws: F64, clusters: Sequence[str] | None, level: float, count: int
+) -> Interval:
+    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
     distinct = len(set(clusters)) if clusters is not None else 0
     return Interval(
-        mean=float(v.mean()),
+        mean=mean,
         low=float(low),
         high=float(high),
         level=level,
-        count=len(v),
+        count=count,
         clusters=distinct if distinct >= 2 else 0,
     )

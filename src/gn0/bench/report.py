@@ -20,14 +20,17 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import msgspec
 import numpy as np
 from markupsafe import Markup
 
 from gn0.bench.breakdown import Bar, split_categories, split_lengths, split_tiers
 from gn0.bench.episode_clip import ClipScene, render_clip
+from gn0.bench.follow_metrics import FOLLOW_METRICS, FollowMetrics, score_steps
 from gn0.bench.intervals import Interval
 from gn0.bench.metrics import METRICS
 from gn0.bench.release_score import SIDE_BY_SIDE
+from gn0.bench.report_follow import END_WORDS, distance_strip, follow_line, track_marks
 from gn0.bench.report_maps import (
     MapWindow,
     bev_symbol,
@@ -51,6 +54,7 @@ from gn0.bench.standing import group_runs
 from gn0.config import load_json
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.missions.episode import Episode
+from gn0.missions.follow_rules import follow_rules
 from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
@@ -66,6 +70,7 @@ from gn0.suites.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
 from gn0.suites.track import read_track
 
 TEMPLATES = Path(__file__).parent / "templates"
+STYLES = ("report.css", "follow.css")
 BEV_PIXELS = 760  # px along the longer side, fewer when there are many scenes
 BEV_PIXELS_MANY, MANY_SCENES = 380, 12
 CEILING_CUT = 2.0  # m
@@ -253,12 +258,14 @@ def _render(
                 "name": names[number],
                 "summary": run.summary,
                 "cells": [_cell(info.key, info.unit, run.summary.metrics) for info in METRICS],
+                "following": _following_cells(run.summary),
                 "seconds": run.about.get("seconds"),
                 "failures": Counter(r.status for r in run.summary.failed),
             }
             for number, run in enumerate(runs)
         ],
         metrics=METRICS,
+        follow_metrics=FOLLOW_METRICS,
         groups=[
             {
                 "title": group.title,
@@ -290,7 +297,7 @@ def _render(
 
 
 def _fill(**values: Any) -> str:
-    style = (TEMPLATES / "report.css").read_text("utf-8")
+    style = "".join((TEMPLATES / name).read_text("utf-8") for name in STYLES)
     script = (TEMPLATES / "report.js").read_text("utf-8")
     policy = (
         "default-src 'none'; img-src data:; media-src data:; "
@@ -329,10 +336,16 @@ def _run_names(runs: Sequence[RunData]) -> list[str]:
 
 def choose_videos(results: Sequence[EpisodeResult], count: int) -> list[str]:
     """Episodes worth watching: half failures, half successes, longest tasks first."""
-    shown = [r for r in results if r.metrics is not None]
-    longest = sorted(shown, key=lambda r: (-r.metrics.shortest_length, r.episode))  # type: ignore[union-attr]
-    good = [r.episode for r in longest if r.metrics and r.metrics.success]
-    bad = [r.episode for r in longest if r.metrics and not r.metrics.success]
+
+    def length(result: EpisodeResult) -> float:  # of following: its steps, as it has no one goal
+        if isinstance(result.follow, FollowMetrics):
+            return result.follow.steps
+        return result.metrics.shortest_length if result.metrics is not None else 0.0
+
+    shown = [r for r in results if r.success is not None]
+    longest = sorted(shown, key=lambda r: (-length(r), r.episode))
+    good = [r.episode for r in longest if r.success]
+    bad = [r.episode for r in longest if not r.success]
     from_bad = min(len(bad), max(count // 2, count - len(good)))
     return bad[:from_bad] + good[: count - from_bad]
 
@@ -391,7 +404,9 @@ def _row(
 ) -> dict[str, Any]:
     """What the template shows of one episode of one run; rank 0 comes first."""
     m = result.metrics
-    outcome = result.status if m is None else ("success" if m.success else "failure")
+    success = result.success
+    outcome = result.status if success is None else ("success" if success else "failure")
+    follow = _follow_row(suite, art.window, episode, result, trace)
     path = np.array(trace.poses, np.float64).reshape(-1, 3)[:, :2]
     return {
         "episode": episode.id,
@@ -403,11 +418,17 @@ def _row(
         "rank": {"failed": 0, "invalid": 1, "failure": 2, "success": 3}[outcome],
         "reason": result.reason or _explain(result),
         "metrics": m,
-        "view": fit_view(art.window, np.array([*episode.path, episode.goal, *path])),
+        "follow": follow,
+        "view": fit_view(
+            art.window,
+            np.array([*episode.path, episode.goal, *path]) if follow is None else follow["places"],
+        ),
         "can_view": episode.id.isprintable(),
         "bev": art.bev,
         "plan": art.plan,
-        "marks": path_marks(
+        "marks": follow["marks"]
+        if follow is not None
+        else path_marks(
             art.window,
             reference=np.array(episode.path, np.float64).reshape(-1, 2),
             path=path,
@@ -420,6 +441,35 @@ def _row(
         "poster": "",
         "clip": -1,
     }
+
+
+def _follow_row(
+    suite: Suite, window: MapWindow, episode: Episode, result: EpisodeResult, trace: EpisodeTrace
+) -> dict[str, Any] | None:
+    """What the template shows of an episode of following; None of any other."""
+    record = trace.follow_record()
+    if record is None:
+        return None
+    about = suite.about
+    rules = follow_rules(about.profile)
+    rules = msgspec.structs.replace(rules, max_steps=min(rules.max_steps, about.max_steps))
+    steps = score_steps(record, rules)
+    scored = result.follow if isinstance(result.follow, FollowMetrics) else None
+    return {
+        "marks": track_marks(window, record, steps),
+        "places": np.vstack([record.poses[:, :2], record.people[record.target]]),
+        "strip": distance_strip(record, steps, rules, title=f"distance over time: {episode.id}"),
+        "line": "" if scored is None else follow_line(scored),
+        "scored": scored,
+        "end": END_WORDS[steps.end],
+    }
+
+
+def _following_cells(summary: RunSummary) -> list[dict[str, Any] | None] | None:
+    """The cells of a run's measures of following; None where nobody was followed."""
+    if not isinstance(summary.following, dict):
+        return None
+    return [_cell(info.key, info.unit, summary.following) for info in FOLLOW_METRICS]
 
 
 def _histograms(
@@ -464,6 +514,8 @@ def _released(run: RunData, name: str) -> dict[str, Any]:
 
 def _explain(result: EpisodeResult) -> str:
     m = result.metrics
+    if isinstance(result.follow, FollowMetrics):
+        return "" if result.follow.success else f"ended by {END_WORDS[result.follow.end]}"
     theirs = result.release
     if theirs is not None and theirs.forced_stop is not None:
         verdict = "success" if theirs.success else "failure"

@@ -16,6 +16,9 @@ from typing import Any, Literal, TypeVar
 import msgspec
 import numpy as np
 
+from gn0.bench.follow_metrics import FollowMetrics, summarize_following
+from gn0.bench.follow_record import FollowRecord
+from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
 from gn0.bench.release_score import ReleaseReport, ReleaseScore
@@ -85,6 +88,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         path: id of the path that the episode was made of, where it has one and was scored.
         mission: its mission where it has a path: "goal", "instruction/detailed", …
         moves: its Teleports and Displacements; absent when there were none.
+        follow: scores of following, in an episode of following.
     """
 
     episode: str
@@ -98,6 +102,14 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     path: str | msgspec.UnsetType = msgspec.UNSET
     mission: str | msgspec.UnsetType = msgspec.UNSET
     moves: Moves | msgspec.UnsetType = msgspec.UNSET
+    follow: FollowMetrics | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def success(self) -> bool | None:
+        """Whether it was a success, of following or of going somewhere; None without a score."""
+        if isinstance(self.follow, FollowMetrics):
+            return self.follow.success
+        return None if self.metrics is None else self.metrics.success
 
     def __str__(self) -> str:
         return f"{self.episode}: {self.status}: {self.reason}" if self.reason else self.episode
@@ -113,6 +125,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         collided: indices of actions that an obstacle cut short.
         teleports: (x, y, yaw) that the teleports asked for, in order.
         costs: steps that each action took; not there where each took one.
+        follow: tracks of people and who was seen, in an episode of following.
     """
 
     episode: str
@@ -121,6 +134,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     collided: tuple[int, ...] = ()
     teleports: tuple[tuple[float, float, float], ...] = ()
     costs: tuple[int, ...] | msgspec.UnsetType = msgspec.UNSET
+    follow: FollowTrace | msgspec.UnsetType = msgspec.UNSET
 
     @classmethod
     def of(cls, episode_id: str, trajectory: Trajectory) -> EpisodeTrace:
@@ -145,6 +159,16 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             teleports=tuple(Pose2D(*pose) for pose in self.teleports),
             costs=self.costs or (),
         )
+
+    def follow_record(self) -> FollowRecord | None:
+        """The record of an episode of following; None of any other.
+
+        Raises:
+            EpisodeError: tracks, poses and actions do not fit.
+        """
+        if self.follow is msgspec.UNSET:
+            return None
+        return self.follow.record(self.poses, self.actions, self.costs or None)
 
 
 def _plain(poses: Iterable[Pose2D]) -> tuple[tuple[float, float, float], ...]:
@@ -196,6 +220,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         beyond: sensors of the policy that the track does not allow.
         isolation: where the policy ran; "" in runs of before that was told.
         control: what was taken away from the policy.
+        following: mean and interval by key of the measures of following; absent where nobody was
+            followed.
     """
 
     policy: str
@@ -218,6 +244,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     beyond: tuple[str, ...] = ()
     isolation: Isolation | Literal[""] = ""
     control: Control = "none"
+    following: dict[str, Interval] | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def label(self) -> str:
@@ -258,6 +285,20 @@ def aggregate(results: Iterable[EpisodeResult], seed: int = 0) -> dict[str, Inte
         )
         for info in METRICS
     }
+
+
+def aggregate_following(
+    results: Iterable[EpisodeResult], seed: int = 0
+) -> dict[str, Interval] | msgspec.UnsetType:
+    """The same for the measures of following; absent where nobody was followed."""
+    scored = [
+        (r.follow, r.scene)
+        for r in results
+        if r.status == "valid" and isinstance(r.follow, FollowMetrics)
+    ]
+    if not scored:
+        return msgspec.UNSET
+    return summarize_following([m for m, _ in scored], [scene for _, scene in scored], seed=seed)
 
 
 def write_lines(path: Path, records: Iterable[Any]) -> None:

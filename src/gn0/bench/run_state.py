@@ -24,6 +24,7 @@ from gn0.bench.results import (
     PolicyCard,
     RunSummary,
     aggregate,
+    aggregate_following,
     iterate_results,
     report_release,
 )
@@ -275,6 +276,7 @@ class RunState:
             beyond=beyond,
             isolation=card.isolation,
             control=settings.control,
+            following=aggregate_following(iterate_results(self.out)),
         )
         run = {
             "sessions": self.sessions,

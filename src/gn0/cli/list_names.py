@@ -147,10 +147,13 @@ def _renderers() -> Iterator[tuple[str, str]]:
 
 
 def _metrics() -> Iterator[tuple[str, str]]:
+    from gn0.bench.follow_metrics import FOLLOW_METRICS
     from gn0.bench.metrics import METRICS
 
     for info in METRICS:
         yield info.key, info.title
+    for info in FOLLOW_METRICS:
+        yield f"following: {info.key}", info.title
 
 
 def _prompts() -> Iterator[tuple[str, str]]:

@@ -125,9 +125,9 @@ def _show_suite(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.errors import EpisodeError
     from gn0.storage import write_atomic
-    from gn0.suites.suite import open_suite
+    from gn0.suites.named_suites import open_named
 
-    suite = open_suite(args.path)
+    suite = open_named(args.path)
     home = Path(args.path).resolve()
     known = {episode.id: episode for episode in suite.episodes}
     if args.episode:

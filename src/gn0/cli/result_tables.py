@@ -34,7 +34,12 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
     groups = group_runs(summaries)
     for group in groups:
         told = len(groups) > 1 or group.rank or summaries[group.members[0]].track
-        _print_table([summaries[i] for i in group.members], group.title if told else "")
+        members = [summaries[i] for i in group.members]
+        followed = [summary for summary in members if isinstance(summary.following, dict)]
+        if not followed or any(summary.metrics for summary in members):
+            _print_table(members, group.title if told else "")
+        if followed:
+            _print_following(followed, group.title if told else "")
     for summary in summaries:
         if summary.release is not None:
             _print_release(summary)
@@ -79,6 +84,38 @@ def _print_table(summaries: Sequence[RunSummary], title: str) -> None:
     if title:
         print(f"\n  {plain_text(title)}")
     Console(width=max(116, Console().width), highlight=False).print(table)
+
+
+def _print_following(summaries: Sequence[RunSummary], title: str) -> None:
+    """The measures of following, a row each: so that thirteen of them fit any window."""
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from gn0.bench.follow_metrics import FOLLOW_METRICS
+
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
+    table.add_column("following")
+    for summary in summaries:
+        table.add_column(escape(plain_text(summary.label)), justify="right")
+    for info in FOLLOW_METRICS:
+        cells = []
+        for summary in summaries:
+            found = summary.following.get(info.key) if isinstance(summary.following, dict) else None
+            if found is None:
+                cells.append("–")
+                continue
+            scale, decimals = (100.0, 1) if info.unit == "%" else (1.0, 2)
+            mean, low, high = (
+                f"{scale * value:.{decimals}f}" for value in (found.mean, found.low, found.high)
+            )
+            cells.append(f"{mean} [dim]{low}–{high}[/dim]")
+        unit = f" [dim]{escape(info.unit)}[/dim]" if info.unit else ""
+        table.add_row(f"{info.key}{unit}", *cells)
+    if title:
+        print(f"\n  {plain_text(title)}")
+    Console(width=max(80, Console().width), highlight=False).print(table)
 
 
 def _print_release(summary: RunSummary) -> None:

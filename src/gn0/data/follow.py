@@ -25,6 +25,7 @@ from gn0.errors import EpisodeError, PlanError
 from gn0.geometry import F64, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
+from gn0.maps.ray import is_line_free
 from gn0.maps.way_kernels import spread_line
 from gn0.missions.episode import AgentSpec
 from gn0.paper import ACTIONS_AHEAD, POINTS, SPACING
@@ -40,10 +41,12 @@ class TargetTrack:
     Attributes:
         times: [N] s, not decreasing.
         places: [N, 2] m, world frame.
+        yaws: [N] rad, where the person's body faces; None: the way it walks.
     """
 
     times: F64
     places: F64
+    yaws: F64 | None = None
 
     def __post_init__(self) -> None:
         times = np.ascontiguousarray(self.times, np.float64).ravel()
@@ -61,6 +64,14 @@ class TargetTrack:
                 where=f"row {row}",
                 remedy="sort the track by time",
             )
+        if self.yaws is not None:
+            yaws = np.ascontiguousarray(self.yaws, np.float64).ravel()
+            if len(yaws) != len(times) or not np.isfinite(yaws).all():
+                raise EpisodeError(
+                    f"a track of {len(times)} times and {len(yaws)} headings, or not finite",
+                    remedy="give a finite heading for every time",
+                )
+            object.__setattr__(self, "yaws", yaws)
         arcs = np.r_[0.0, np.cumsum(np.hypot(*np.diff(places, axis=0).T))]
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "places", places)
@@ -89,6 +100,24 @@ class TargetTrack:
             x, y = self.places[0 if i == 0 else -1]
             return float(x), float(y)
         return self.place_on(self.arc_at(time))
+
+    def yaw_at(self, time: float) -> float:
+        """Where the person faces at a time [rad]; on a corner of its way, the way before it."""
+        if self.yaws is not None:
+            after = int(np.clip(np.searchsorted(self.times, time, "left"), 1, len(self.times) - 1))
+            if len(self.times) == 1 or time <= self.times[0]:
+                return float(self.yaws[0])
+            before, span = after - 1, self.times[after] - self.times[after - 1]
+            part = min((time - self.times[before]) / span, 1.0) if span > 0 else 1.0
+            turn = wrap_angle(float(self.yaws[after] - self.yaws[before]))
+            return wrap_angle(float(self.yaws[before]) + part * turn)
+        legs = np.flatnonzero(np.diff(self.arcs) > 0)
+        if not len(legs):
+            return 0.0
+        walked = int(np.searchsorted(self.arcs[legs + 1], self.arc_at(time)))
+        leg = int(legs[min(walked, len(legs) - 1)])
+        dx, dy = self.places[leg + 1] - self.places[leg]
+        return math.atan2(dy, dx)
 
     def trail(self, begin: float, end: float) -> F64:
         """The trail [M, 2] m between two arcs, ends included."""
@@ -124,6 +153,44 @@ def desired_state(
     px, py = track.place_at(time)
     yaw = math.atan2(py - free[1], px - free[0]) if (px, py) != free else 0.0
     return DesiredState(free[0], free[1], yaw, arc)
+
+
+def reference_state(
+    navigation: NavigationMap,
+    track: TargetTrack,
+    time: float,
+    agent_place: tuple[float, float],
+    distance: float = FOLLOW_DISTANCE,
+    lateral: float = 0.0,
+) -> DesiredState:
+    """The reference pose of a time (paper, Alg. 4): p_ref = p_h − d·f̂ + ℓ·r̂, facing the person.
+
+    f̂ is the way that the person faces, r̂ the right of it. Where p_ref is blocked, cut off from the
+    agent or out of sight of the person, it is the place `distance` behind on the person's trail.
+
+    Args:
+        navigation: map of the scene, inflated for the agent.
+        track: the person.
+        time: [s].
+        agent_place: (x, y) m of the agent a step before: ψ_ref looks from there to the person.
+        distance: d, how far behind [m].
+        lateral: ℓ, how far to the person's right [m].
+
+    Raises:
+        PlanError: nothing is walkable near the trail.
+    """
+    px, py = track.place_at(time)
+    yaw = track.yaw_at(time)
+    c, s = math.cos(yaw), math.sin(yaw)
+    x, y = px - distance * c + lateral * s, py - distance * s - lateral * c
+    wanted = DesiredState(x, y, 0.0, max(track.arc_at(time) - distance, 0.0))
+    region = navigation.region_of(*agent_place)
+    seen = navigation.region_of(x, y) in ({region} if region >= 0 else {0})
+    if not (seen and is_line_free(navigation.grid, (px, py), (x, y))):
+        wanted = desired_state(navigation, track, time, distance)
+    ax, ay = agent_place
+    face = math.atan2(py - ay, px - ax) if (px, py) != (ax, ay) else wanted.yaw
+    return DesiredState(wanted.x, wanted.y, face, wanted.arc)
 
 
 def label_follow(

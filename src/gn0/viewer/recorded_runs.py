@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gn0.bench.episode_clip import ACTION_WORDS
+from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.metrics import METRICS
 from gn0.bench.report import RunData, find_suite, load_run
+from gn0.bench.report_follow import END_WORDS
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
@@ -201,18 +203,20 @@ def _names(runs: Sequence[RunData]) -> list[str]:
 
 
 def _mark(result: EpisodeResult | None) -> str:
-    if result is None or result.metrics is None:
+    if result is None or result.success is None:
         return "!"
-    return "✓" if result.metrics.success else "✗"
+    return "✓" if result.success else "✗"
 
 
 def _outcome(result: EpisodeResult | None) -> str:
     if result is None:
         return "not run"
-    if result.metrics is None:
+    if result.success is None:
         return plain(result.status)
-    if result.metrics.success:
+    if result.success:
         return "**success**"
+    if isinstance(result.follow, FollowMetrics):
+        return f"ended by {END_WORDS[result.follow.end]}"
     return "stopped too far" if result.stopped else "no stop"
 
 

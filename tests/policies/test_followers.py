@@ -1,0 +1,261 @@
+"""Followers: boxes and what they say, two controllers, the oracle, and the floors below them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gn0.bench.follow_metrics import compute_follow_metrics, score_steps, summarize_following
+from gn0.data.follow import TargetTrack
+from gn0.data.follow_oracle import FollowOracle, FollowTask, choose_following, people_map
+from gn0.errors import PolicyError
+from gn0.geometry import Pose2D
+from gn0.maps.navigation import NavigationMap
+from gn0.policies.box_follower import (
+    BoxFollower,
+    BoxGains,
+    PolicyBoxFollower,
+    Sighting,
+    choose_box,
+    steer,
+)
+from gn0.policies.follow_floors import PolicyAlwaysStop, StraightAtPerson
+from gn0.policies.person_boxes import PersonBox, PictureView, find_boxes
+from gn0.sim.state import Action, Observation
+from gn0_trials.follow_stage import (
+    BODY,
+    HEIGHT,
+    HFOV,
+    WIDTH,
+    Stage,
+    corridor_stage,
+    flat_map,
+    walked,
+)
+
+RED = ((200, 40, 40), (40, 40, 120))
+GREEN = ((40, 150, 60), (90, 80, 70))
+VIEW = PictureView(WIDTH, HEIGHT, HFOV, 1.3)
+SPEEDS = (0.4, 0.6, 0.8, 1.0)
+Choose = Callable[[Stage], Action]
+
+
+def follow_boxes() -> Choose:
+    follower = BoxFollower(VIEW, BODY)
+    return lambda stage: follower.act(find_boxes(*stage.look()), stage.collided)
+
+
+def follow_all_knowing(stage: Stage) -> Choose:
+    oracle = FollowOracle(stage.navigation, FollowTask(stage.tracks[0]))
+    return lambda now: oracle.act(now.pose, now.time, now.places(now.time)[1:])
+
+
+def run_at_person(navigation: NavigationMap | None = None) -> Choose:
+    runner = StraightAtPerson(navigation)
+    return lambda stage: runner.act(stage.pose, stage.places(stage.time)[0], stage.collided)
+
+
+def somebody(ahead: float, left: float, look: tuple = RED) -> Stage:  # type: ignore[type-arg]
+    """One who stands there, seen by an agent in the middle of a room."""
+    place = [(3.0 + ahead, 3.5 + left)]
+    stage = Stage(
+        flat_map(), [TargetTrack(np.zeros(1), np.array(place))], Pose2D(3, 3.5, 0), [look]
+    )
+    stage.pose, stage.time, stage.collided = stage.start, 0.0, False
+    return stage
+
+
+def test_boxes_are_around_people_and_do_not_say_who_they_are() -> None:
+    people = np.zeros((20, 30), np.uint8)
+    people[2:12, 20:26] = 3
+    people[5:15, 4:8] = 9
+    people[18, 28] = 5  # a speck
+    rgb = np.zeros((20, 30, 3), np.uint8)
+    rgb[:7, 20:26], rgb[7:, 20:26] = (200, 0, 0), (0, 0, 100)
+    left, right = find_boxes(people, rgb)
+    assert (left.left, left.top, left.right, left.bottom, left.pixels) == (4, 5, 8, 15, 40)
+    assert (right.left, right.right) == (20, 26)
+    assert right.look == (200, 0, 0, 0, 0, 100)
+    renamed = np.array([0, 1, 2, 1, 0, 7, 0, 0, 0, 2], np.uint8)[people]
+    assert find_boxes(renamed, rgb) == [left, right]
+    assert find_boxes(np.zeros((4, 4), np.uint8)) == []
+
+
+@given(st.floats(1.0, 2.8), st.floats(-0.35, 0.35))
+@settings(deadline=None, max_examples=40)
+def test_a_box_says_where_somebody_stands(ahead: float, part: float) -> None:
+    stage = somebody(ahead, ahead * part)
+    (box,) = find_boxes(*stage.look())
+    away = math.hypot(ahead, ahead * part)
+    assert VIEW.bearing(box) == pytest.approx(math.atan(part), abs=0.03)
+    assert VIEW.distance(box, stage.tall) == pytest.approx(away, rel=0.15)
+    tall = VIEW.tall(box)
+    assert (tall is None) == (ahead < 1.86) or abs(ahead - 1.86) < 0.1  # feet below the picture
+    assert tall is None or tall == pytest.approx(stage.tall, abs=0.06)
+
+
+def test_the_controllers_turn_walk_and_stand() -> None:
+    def at(degrees: float, distance: float) -> Action:
+        return steer(Sighting(math.radians(degrees), distance, ()), BoxGains(), BODY)
+
+    assert at(0, 1.5) == at(7, 1.6) == at(0, 0.6) == Action.STOP
+    assert at(8, 1.5) == at(30, 3.0) == Action.LEFT and at(-8, 1.5) == Action.RIGHT
+    assert at(0, 1.7) == Action.FORWARD
+    assert at(20, 3.0) == Action.FORWARD, "far off it walks first"
+    leaving = Sighting(0.0, 1.5, (), leaving=1.0)
+    assert steer(leaving, BoxGains(), BODY) == Action.FORWARD, "before the distance has grown"
+
+
+def test_a_sighting_stays_where_it_is_while_the_agent_moves() -> None:
+    seen = Sighting(math.radians(15), 2.0, ())
+    turned = seen.after(Action.LEFT, True, BODY)
+    assert turned.bearing == pytest.approx(0) and turned.distance == pytest.approx(2.0)
+    nearer = turned.after(Action.FORWARD, True, BODY)
+    assert (nearer.bearing, nearer.distance) == pytest.approx((0.0, 1.75))
+    assert nearer.after(Action.FORWARD, False, BODY).distance == pytest.approx(1.75)
+    assert nearer.age == pytest.approx(0.4)
+
+
+def box_at(left: int, look: tuple[float, ...]) -> PersonBox:
+    return PersonBox(left, 40, left + 20, 110, 900, look)
+
+
+def test_it_takes_who_is_ahead_then_who_is_where_it_was_then_who_looks_like_it() -> None:
+    red, green = (200.0, 40, 40, 40, 40, 120), (40.0, 150, 60, 90, 80, 70)
+    ahead, aside = box_at(70, red), box_at(10, green)
+    assert choose_box([aside, ahead], VIEW, None) == ahead
+    last = Sighting(VIEW.bearing(ahead), VIEW.distance(ahead, 1.7), red)
+    assert choose_box([box_at(10, red), box_at(72, red)], VIEW, last) == box_at(72, red)
+    assert choose_box([box_at(70, green)], VIEW, last) is None, "somebody else stepped in"
+    old = Sighting(1.0, 2.0, red, age=3.0)
+    assert choose_box([box_at(70, green), box_at(10, red)], VIEW, old) == box_at(10, red)
+    assert choose_box([], VIEW, old) is None
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_the_box_follower_keeps_to_somebody_round_two_bends(speed: float) -> None:
+    m = compute_follow_metrics(corridor_stage(speed).play(follow_boxes()))
+    assert m.success and not m.touched and m.following_rate >= 0.8
+    assert m.distance_error < 0.6 and m.recoveries == m.losses
+
+
+def test_the_oracle_follows_all_speeds_and_touches_nobody() -> None:
+    scores = []
+    for seed, speed in enumerate((0.6, 1.0)):
+        for others in (0, 3):
+            stage = corridor_stage(speed, others, seed=seed)
+            scores.append(compute_follow_metrics(stage.play(follow_all_knowing(stage))))
+    found = summarize_following(scores)
+    assert found["SR"].mean == 1.0 and found["CR"].mean == 0.0
+    assert found["TR_pooled"].mean >= 0.95 and found["distance_error"].mean < 0.25
+    alone = summarize_following(scores[::2])
+    assert alone["TR_pooled"].mean >= 0.98
+
+
+def test_the_oracle_goes_round_somebody_who_stands_in_the_corridor() -> None:
+    stage = corridor_stage(0.8)
+    standing = TargetTrack(np.zeros(1), np.array([[8.0, 3.25]]))
+    stage.tracks.append(standing)
+    stage.tracks[0] = walked([(3.0, 3.5), (7.0, 3.5), (8.0, 3.95), (9.0, 3.9), (10.2, 4.2),
+                              (10.2, 9.0), (14.0, 9.4)], 0.8)  # fmt: skip
+    stage.looks.append(GREEN)
+    record = stage.play(follow_all_knowing(stage))
+    m = compute_follow_metrics(record)
+    assert m.success and m.following_rate >= 0.9
+    assert np.hypot(*(record.poses[:, :2] - [8.0, 3.25]).T).min() >= 0.5
+
+
+def test_the_floors() -> None:
+    """Who stands is left behind in both profiles' terms; who runs touches, every time."""
+    for seed, speed in enumerate(SPEEDS):
+        stage = corridor_stage(speed, 2, seed=seed)
+        stood = compute_follow_metrics(stage.play(lambda _: Action.STOP))
+        assert not stood.success and stood.following_rate < 0.2
+        for navigation in (None, stage.navigation):
+            ran = compute_follow_metrics(stage.play(run_at_person(navigation)))
+            assert ran.touched and not ran.success
+    assert PolicyAlwaysStop().act(Observation(step=0, time=0.0, instruction="")) == Action.STOP
+
+
+def test_look_alikes_lead_the_box_follower_astray() -> None:
+    """Others who wear the same are taken for the person more often than others who do not."""
+    wrong = [
+        [
+            compute_follow_metrics(
+                corridor_stage(SPEEDS[s % 4], 3, alike=alike, seed=s).play(follow_boxes())
+            ).wrong_person
+            for s in (0, 2, 3, 6)
+        ]
+        for alike in (False, True)
+    ]
+    assert np.mean(wrong[1]) > np.mean(wrong[0]) + 0.1
+
+
+def test_the_oracle_steps_on_nobody_and_follows_on_when_they_have_passed() -> None:
+    """The person walks off along x; another stands in the way, or beside it, or walks off."""
+    navigation = flat_map()
+    task = FollowTask(walked([(3.5, 3.5), (6.0, 3.5)], 0.9))
+    here = Pose2D(2.0, 3.5, 0.0)
+
+    def says(*others: tuple[float, float, float, float]) -> Action:
+        return choose_following(navigation, task, here, 1.0, others)
+
+    assert says() == Action.FORWARD
+    assert says((2.62, 3.5, 0.0, 0.0)) != Action.FORWARD
+    assert says((2.4, 4.0, 0.0, 0.0)) != Action.FORWARD
+    assert says((2.4, 4.0, 0.0, 1.0)) == Action.FORWARD, "who leaves makes room"
+    assert says((1.3, 3.5, 0.0, 0.0)) == Action.FORWARD, "behind it"
+    barred = choose_following(navigation, task, here, 1.0, barred=True)
+    assert barred != Action.FORWARD
+
+
+def test_people_on_a_map_are_obstacles_for_the_agents_disc() -> None:
+    bare = flat_map()
+    crowded = people_map(bare, [(3.0, 3.5)], 0.3)
+    assert bare.is_free(3.0, 3.5) and bare.is_free(3.5, 3.5)
+    assert not crowded.is_free(3.5, 3.5) and crowded.is_free(3.65, 3.5)
+    assert people_map(bare, [], 0.3).inflated.cells.tobytes() == bare.inflated.cells.tobytes()
+
+
+def test_the_policy_reads_pictures_and_refuses_what_does_not_fit() -> None:
+    stage = somebody(2.4, 0.0)
+    people, rgb = stage.look()
+    policy = PolicyBoxFollower()
+    policy.reset("Follow her.", np.random.default_rng(0))
+    seen = Observation(step=0, time=0.0, instruction="", rgb=rgb, more={"people": people})
+    assert policy.act(seen) == Action.FORWARD
+    blank = Observation(step=0, time=0.0, instruction="", rgb=rgb)
+    with pytest.raises(PolicyError, match="person picture"):
+        policy.act(blank)
+    policy.reset("Follow her.", np.random.default_rng(0))
+    nobody = Observation(
+        step=0, time=0.0, instruction="", rgb=rgb, more={"people": np.zeros_like(people)}
+    )
+    assert policy.act(nobody) == Action.STOP
+
+
+def test_the_same_walk_twice() -> None:
+    a, b = (corridor_stage(0.8, 3, seed=1).play(follow_boxes()) for _ in range(2))
+    np.testing.assert_array_equal(a.poses, b.poses)
+    assert score_steps(a).follows.tolist() == score_steps(b).follows.tolist()
+
+
+def test_the_oracle_waits_with_a_person_who_is_held_up() -> None:
+    """The person stands for 4 s in the middle of its way; its track knows nothing of that."""
+    stage = corridor_stage(0.8)
+    track = stage.tracks[0]
+    late = TargetTrack(
+        np.r_[track.times[:1], 3.0, 7.0, track.times[1:] + 4.0],
+        np.vstack([track.places[:1], track.place_at(3.0), track.place_at(3.0), track.places[1:]]),
+    )
+    stage.tracks[0] = late
+    oracle = FollowOracle(stage.navigation, FollowTask(track))
+    m = compute_follow_metrics(
+        stage.play(lambda now: oracle.act(now.pose, now.time, [], now.places(now.time)[0]))
+    )
+    assert m.success and m.following_rate >= 0.98 and m.distance_error < 0.3

@@ -81,4 +81,5 @@ class SimulatorBatchContinuous(SimulatorBatch):
             table.label_at[number],
             table.root_at[number],
             self._headings,
+            table.stays[number],
         )

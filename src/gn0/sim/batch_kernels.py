@@ -62,6 +62,7 @@ class EpisodeArrays(NamedTuple):
         goal: float64 [E, 2] m.
         label_at, root_at: int64 [E], where its field begins; −1 while it has none.
         headings: float64 [E, circle, 3]: yaw [rad], cosine and sine after k turns.
+        stays: bool [E], STOP stands still for one action, as where somebody is followed.
     """
 
     scene: NDArray[np.int32]
@@ -70,6 +71,7 @@ class EpisodeArrays(NamedTuple):
     label_at: NDArray[np.int64]
     root_at: NDArray[np.int64]
     headings: F64
+    stays: NDArray[np.bool_]
 
 
 class AgentArrays(NamedTuple):
@@ -119,8 +121,9 @@ def finish_step(  # type: ignore[no-untyped-def]
         after = _distance(maps, fields, episodes, e, agents.position[i, 0], agents.position[i, 1])
     agents.distance[i] = after
     progress[i] = before - after
-    stopped[i] = action == 0
-    truncated[i] = action != 0 and agents.steps[i] >= max_steps
+    stops = action == 0 and not episodes.stays[e]
+    stopped[i] = stops
+    truncated[i] = not stops and agents.steps[i] >= max_steps
 
 
 @njit_borrowing

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
 from gn0.sim.batch_kernels import EpisodeArrays, FieldArrays, MapArrays
 from gn0.sim.collision import check_places
 from gn0.sim.ground import (
@@ -126,6 +126,7 @@ class EpisodeTable:
             np.full(size, -1, np.int64),
             np.full(size, -1, np.int64),
             np.empty((size, self._circle, 3)),  # pages are touched when an episode is prepared
+            np.zeros(size, np.bool_),
         )
 
     def add(self, episodes: Iterable[Episode]) -> NDArray[np.int64]:
@@ -178,6 +179,7 @@ class EpisodeTable:
         arrays.start[number] = episode.start[:2]
         arrays.goal[number] = episode.goal
         arrays.headings[number] = list_headings(episode, self.agent)
+        arrays.stays[number] = isinstance(episode.mission, MissionFollow)
         self._checked[number] = True
 
     def _store(self, labels: NDArray[np.unsignedinteger], roots: F64) -> _Field:

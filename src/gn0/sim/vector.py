@@ -28,7 +28,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, EpisodeError
-from gn0.geometry import U8
+from gn0.geometry import F64, U8
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.open import visible_backend
 from gn0.scenes.scene import Scene
@@ -281,7 +281,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             chosen = self._choose(options["episode"])[which]
         else:
             chosen = self._draw_episodes(which)
-        self.batch.place(which, chosen)
+        self._place(which, chosen)
         self._begun = True
         (observation,) = self._finish([(self._everyone, self._sense(self._everyone))])
         return observation, self._infos(which, np.zeros(self.num_envs, np.bool_))
@@ -297,18 +297,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        progress, terminated, truncated = self.batch.step(actions)
-        distance, episode = self.batch.state.distance, self.batch.state.episode
-        own = self.batch.table.reach[episode]
-        success = terminated & (distance < np.where(own > 0, own, self.success_distance))
-        rewards = progress - STEP_COST
-        rewards[success] += SUCCESS_REWARD
+        rewards, terminated, truncated, success = self._judge(*self.batch.step(actions))
         ended = np.flatnonzero(terminated | truncated)
         parts, final_info = [], {}
         if len(ended):
             final_info = self._infos(ended, success)
             parts.append((ended, self._sense(ended)))
-            self.batch.place(ended, self._draw_episodes(ended))
+            self._place(ended, self._draw_episodes(ended))
             success = np.zeros(self.num_envs, np.bool_)
         parts.append((self._everyone, self._sense(self._everyone)))
         *finals, observation = self._finish(parts)
@@ -321,6 +316,25 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 "_final_info": _mask(ended, self.num_envs),
             }
         return observation, rewards, terminated, truncated, infos
+
+    def _place(self, which: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+        """Begin episodes `chosen` [K] with agents `which` [K]."""
+        self.batch.place(which, chosen)
+
+    def _judge(
+        self, progress: F64, stopped: NDArray[np.bool_], truncated: NDArray[np.bool_]
+    ) -> tuple[F64, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Rewards, which episodes have ended or were cut off, and which succeeded, [N] each."""
+        distance, episode = self.batch.state.distance, self.batch.state.episode
+        own = self.batch.table.reach[episode]
+        success = stopped & (distance < np.where(own > 0, own, self.success_distance))
+        rewards = progress - STEP_COST
+        rewards[success] += SUCCESS_REWARD
+        return rewards, stopped, truncated, success
+
+    def _tell_more(self, which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """What else infos hold of agents `which` [K]."""
+        return {}
 
     @property
     def episodes(self) -> Sequence[Episode]:
@@ -463,6 +477,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 "hit_by": hits.by,
                 "hit_tick": hits.tick,
             }
+        values |= self._tell_more(which)
         infos: dict[str, Any] = {}
         for name, value in values.items():
             if len(which) == self.num_envs:

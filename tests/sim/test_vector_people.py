@@ -10,7 +10,7 @@ import pytest
 from gn0.avatars import AvatarBank, generate_bank
 from gn0.errors import EpisodeError
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import AgentSpec, Episode, MissionGoal
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow, MissionGoal
 from gn0.people.person import EpisodePerson, PersonStop
 from gn0.render import Camera
 from gn0.scenes import build_example_scene
@@ -145,6 +145,23 @@ def test_continuous_actions_among_people_are_the_simulator_s(halls) -> None:
     actions[..., 3] = np.where(rng.random((100, 6)) < 0.02, 1.0, 0.0)
     seen = _compare(env, _twins(scenes), episodes, actions, lambda row: read_action(row, BODY))
     assert seen["ended"]
+
+
+def test_stop_stands_still_where_somebody_is_followed(halls) -> None:
+    scenes, episodes = halls
+    following = [
+        msgspec.structs.replace(
+            e,
+            mission=MissionFollow(
+                goal=e.goal, instruction="Follow.", human="x", person=e.people[0].number
+            ),
+        )
+        for e in episodes
+        if e.people
+    ]
+    env = VectorEnv(4, scenes, episodes=following, sensors=("ranges",), agent=BODY, max_steps=80)
+    actions = np.random.default_rng(4).choice(4, (90, 4), p=[0.4, 0.4, 0.1, 0.1])
+    assert _compare(env, _twins(scenes), following, actions, int)["ended"] == 4, "at step 80 alone"
 
 
 def test_many_are_the_same_on_any_threads_in_any_order(halls, monkeypatch) -> None:

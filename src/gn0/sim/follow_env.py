@@ -25,7 +25,7 @@ import numpy as np
 
 from gn0.errors import SimError
 from gn0.geometry import F64
-from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.episode import Episode
 from gn0.missions.follow_rules import FOLLOW
 from gn0.people.tick import ARRIVED, MODE
 from gn0.scenes.scene import Scene
@@ -34,7 +34,6 @@ from gn0.sim.follow_episodes import follow_ways
 from gn0.sim.follow_tally import ENDS, FollowTally, SightTable, follow_target
 from gn0.sim.tasks import load_tasks
 
-FOLLOWER = AgentSpec(radius=0.25, step_seconds=0.2)  # 1.25 m/s, 75°/s
 Scenes = Scene | Path | str | Sequence[Scene | Path | str] | None
 
 
@@ -53,7 +52,7 @@ def choose_ways(
         return scene, episodes, settings
     settings = {"max_steps": FOLLOW.max_steps, **settings}
     if settings.get("agent") is None and settings.get("preset") is None:
-        settings["agent"] = FOLLOWER
+        settings["preset"] = "follower"
     if episodes is not None:
         return scene, episodes, settings
     tasks = load_tasks(scene, preset=settings.get("preset"), agent=settings.get("agent"))
@@ -75,7 +74,7 @@ class FollowNavEnv(GoalNavEnv):
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
         suite: a suite folder, instead of a scene.
         episodes: follow episodes or a Parquet file of them; made from the scene when absent.
-        settings: as of `GoalNavEnv`; the body is 0.25 m, 15°, 0.2 s unless something says another.
+        settings: as of `GoalNavEnv`; the preset is `follower` where nothing says another body.
 
     Raises:
         EpisodeError: an episode does not say whom to follow, or nobody finds room to walk.

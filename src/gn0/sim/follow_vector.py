@@ -26,7 +26,7 @@ class FollowVectorEnv(VectorEnv):
         scene: as of `VectorEnv`.
         suite: a suite folder, instead of scenes.
         episodes: follow episodes or a Parquet file of them; made from the scenes when absent.
-        settings: as of `VectorEnv`; the body is 0.25 m, 15°, 0.2 s unless something says another.
+        settings: as of `VectorEnv`; the preset is `follower` where nothing says another body.
 
     Raises:
         EpisodeError: an episode does not say whom to follow, or nobody finds room to walk.

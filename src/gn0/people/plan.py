@@ -142,8 +142,11 @@ class _Planner:
         settings, stream = self.settings, self.stream
         left = settings.count
         seated = int(sum(stream.random(left) < settings.seated)) if left else 0
-        for seat in self._seats()[:seated]:
-            self._add(path=(seat[:2],), behaviour="sit", yaw=seat[2], seat=seat[3])
+        for seat in self._seats():
+            disc = (*seat[:2], RADIUS)
+            if len(self.people) < seated and self._passable([*self.standing, disc]):
+                self._add(path=(seat[:2],), behaviour="sit", yaw=seat[2], seat=seat[3])
+                self.standing.append(disc)
         grouped = stream.random() < settings.groups
         left = settings.count - len(self.people)
         if grouped and left >= 2:
@@ -207,7 +210,9 @@ class _Planner:
             if not all(self.near.is_free(*spot) and self._far_enough(*spot) for spot in ring):
                 continue
             disc = (x, y, size + RADIUS)
-            if math.dist((x, y), self.start) < size + RADIUS + 0.6 or not self._passable([disc]):
+            if math.dist((x, y), self.start) < size + RADIUS + 0.6 or not self._passable(
+                [*self.standing, disc]
+            ):
                 continue
             for k, (u, v) in enumerate(ring):
                 act = _ACTS[int(self.stream.integers(len(_ACTS)))] if k == 0 else ""

@@ -265,7 +265,10 @@ def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reac
             at -= length
             piece = 0
         elif at < 0.0:
-            break
+            if routes.table[r, 4] != 2:
+                break
+            at += length
+            piece = routes.table[r, 1] - routes.table[r, 0] - 2
         x, y, piece, tx, ty = _at(routes, r, at, piece)
         tx, ty = sign * tx, sign * ty
         best, who = reach, NOBODY
@@ -320,6 +323,10 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     sign, way, v = whole[e, p, DIRECTION], real[e, p, WAY], real[e, p, SPEED]
     length, first = routes.lines[r, 1], routes.table[r, 0]
     hold, last_hold = routes.table[r, 2] + whole[e, p, HOLD], routes.table[r, 3]
+    # who came here backwards, over the seam of a loop, is past these
+    while sign > 0 and hold < last_hold and routes.holds[hold, 0] < way - 0.01:
+        whole[e, p, HOLD] += 1
+        hold += 1
     holds = sign > 0 and hold < last_hold
     if real[e, p, HOLD_LEFT] > 0.0 or (
         holds and way >= routes.holds[hold, 0] - _ARRIVED and v < 0.09
@@ -347,7 +354,10 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
         whole[e, p, HOLD] = 0
         hold = routes.table[r, 2]
         holds = hold < last_hold
-    elif sign < 0 and way <= 0.0:  # turned back to the very start: wait there
+    elif sign < 0 and way <= 0.0 and routes.table[r, 4] == 2:
+        way, whole[e, p, PIECE] = way + length, routes.table[r, 1] - first - 2
+    elif sign < 0 and way <= 0.0:  # turned back to the very start
+        whole[e, p, DIRECTION], whole[e, p, BACK_LEFT] = 1, 0
         real[e, p, SPEED] = 0.0
         return 0.0
     piece = _piece(routes, r, way, whole[e, p, PIECE])
@@ -374,7 +384,7 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     end = length if sign > 0 else 0.0
     if holds:
         end = routes.holds[hold, 0]
-    stands = holds or sign < 0 or routes.table[r, 4] != 2
+    stands = holds or routes.table[r, 4] != 2
     left = max(sign * (end - way), 0.0)
     if stands:
         want = min(want, _cap(v, 0.0, left, dt))
@@ -390,6 +400,8 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
             spare = max(dt - 2.0 * step / (v + now), 0.0)
     elif sign > 0 and there > length:  # around a loop again
         there, whole[e, p, HOLD], piece = there - length, 0, 0
+    elif there < 0.0:
+        there, piece = there + length, routes.table[r, 1] - first - 2
     real[e, p, WAY], real[e, p, SPEED] = there, now
     whole[e, p, PIECE] = after = _piece(routes, r, there, piece)
     if spare > 0.0 and now <= 0.0 and there == end:
@@ -472,7 +484,7 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
             blocker = who
             gone = gone * share * 0.999
             there = way + sign * gone
-            if there > routes.lines[r, 1] or whole[e, p, DIRECTION] != sign:
+            if not 0.0 <= there <= routes.lines[r, 1] or whole[e, p, DIRECTION] != sign:
                 gone, there = 0.0, way
             x, y, after, tx, ty = _at(routes, r, there, piece)
             share, who = _allowed(real, route, agent, radius, e, p, x, y)

@@ -14,7 +14,6 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.generate.follow_settings import FollowSettings
-from gn0.missions.generate.follow_sight import sight_grid
 from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.scenes.procedural.kinds import KindName
@@ -38,14 +37,14 @@ def score_references(suite: Suite, scenes: dict[str, Scene]) -> list[FollowMetri
         if episode.scene_id not in trackers:
             navigation = NavigationMap(scene.grid, episode.agent.radius)
             trackers[episode.scene_id] = FollowTracker(scene, navigation, FollowSettings())
-        found.append(compute_follow_metrics(_record(trackers[episode.scene_id], episode, scene)))
+        found.append(compute_follow_metrics(_record(trackers[episode.scene_id], episode)))
     return found
 
 
-def _record(tracker: FollowTracker, episode: Episode, scene: Scene) -> FollowRecord:
+def _record(tracker: FollowTracker, episode: Episode) -> FollowRecord:
     reference, mission = tracker.replay(episode), episode.mission
     assert isinstance(mission, MissionFollow)
-    sight = sight_grid(scene, episode.agent.camera_height)
+    sight = tracker.sight(episode)
     seen = [
         [is_line_free(sight, (x, y), place) for (x, y, _), place in zip(poses, places, strict=True)]
         for poses, places in ((reference.poses.tolist(), p.tolist()) for p in reference.people)

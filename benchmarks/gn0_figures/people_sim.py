@@ -17,8 +17,8 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.people.crowd import build_walls, empty_crowd, find_pace, place_people, step_crowd
 from gn0.people.plan import PeopleSettings, plan_people
+from gn0.people.reach import CLIP, HOLD_LEFT, MODE, X, Y
 from gn0.people.route import build_routes
-from gn0.people.tick import CLIP, HOLD_LEFT, MODE, X, Y
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.vector import VectorEnv

@@ -81,6 +81,8 @@ def draw_episode(
         f"{sum(inside) / max(len(inside), 1):.1%} of {len(inside)} points on free cells   ·   "
         "green: start, star: goal, red: not on free cells"
     )
+    if episode is not None and episode.people:
+        words += "   ·   purple: the person to follow, grey: others" * bool(episode.followed)
     picture = render_overlay(
         scene,
         chosen,

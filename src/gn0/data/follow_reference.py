@@ -131,7 +131,8 @@ class FollowTracker:
         self._simulator.reset(episode)
         return self._simulator
 
-    def _sight(self, episode: Episode) -> OccupancyGrid:
+    def sight(self, episode: Episode) -> OccupancyGrid:
+        """What hides people from the agent of an episode."""
         eye = episode.agent.camera_height
         if eye not in self._sights:
             self._sights[eye] = sight_grid(self.scene, eye)
@@ -155,7 +156,7 @@ class FollowTracker:
             (reference, ""), or (None, the reason).
         """
         settings, count = self.settings, self.steps_of(episode)
-        simulator, sight = self._open(episode), self._sight(episode)
+        simulator, sight = self._open(episode), self.sight(episode)
         task = follow_task(episode, sight)
         oracle = FollowOracle(self.navigation, task)
         recorder = _Recorder(simulator, episode)
@@ -187,7 +188,7 @@ class FollowTracker:
         """What the kept actions of an episode lead to."""
         mission = episode.mission
         assert isinstance(mission, MissionFollow)
-        simulator, sight = self._open(episode), self._sight(episode)
+        simulator, sight = self._open(episode), self.sight(episode)
         recorder = _Recorder(simulator, episode)
         for code in mission.reference_actions:
             result = simulator.step(code)

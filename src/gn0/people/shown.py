@@ -19,8 +19,8 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.people.cast import Actor
 from gn0.people.person import EpisodePerson
+from gn0.people.reach import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
 from gn0.people.route import I64
-from gn0.people.tick import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
 from gn0.seeds import derive_seed
 
 _STEP = 12  # frames of a clip by time that one is shown for: two fifths of a second

@@ -18,8 +18,9 @@ from gn0.jit import njit, njit_borrowing, prange
 from gn0.maps.ray import trace_points
 from gn0.maps.slide import slide_points
 from gn0.people.crowd import CrowdState, Walls, place_rows
+from gn0.people.reach import HX, HY, X0, Y0, Pace, X, Y
 from gn0.people.route import I64, Routes
-from gn0.people.tick import HX, HY, X0, Y0, Pace, X, Y, tick_people
+from gn0.people.tick import tick_people
 from gn0.sim.batch_kernels import (
     COS,
     SIN,

@@ -27,7 +27,7 @@ from gn0.errors import SimError
 from gn0.geometry import F64
 from gn0.missions.episode import Episode
 from gn0.missions.follow_rules import FOLLOW
-from gn0.people.tick import ARRIVED, MODE
+from gn0.people.reach import ARRIVED, MODE
 from gn0.scenes.scene import Scene
 from gn0.sim.env import GoalNavEnv
 from gn0.sim.follow_episodes import follow_ways

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.missions.episode import Episode
-from gn0.people.tick import ARRIVED, HX, HY, MODE, X, Y
+from gn0.people.reach import ARRIVED, HX, HY, MODE, X, Y
 from gn0.sim.batch_people_kernels import BY_AGENT, CAME, ROW
 from gn0.sim.follow_env import Scenes, choose_ways
 from gn0.sim.follow_tally import ENDS, FollowTally, SightTable, follow_target

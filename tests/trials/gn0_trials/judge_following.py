@@ -97,9 +97,9 @@ def judge_following(walk: JudgedWalk, profile: str) -> dict[str, float | str | N
 
     # from here on every step by itself: (row, follows)
     walked = [row for row in range(1, last + 1) for _ in range(walk.costs[row - 1])]
-    good = [held(row) for row in walked]
+    kept = [held(row) for row in walked]
     stretches: list[tuple[int, int]] = []  # first step, number of steps without following
-    for number, ok in enumerate(good):
+    for number, ok in enumerate(kept):
         if ok:
             continue
         if stretches and stretches[-1][0] + stretches[-1][1] == number:
@@ -107,19 +107,19 @@ def judge_following(walk: JudgedWalk, profile: str) -> dict[str, float | str | N
         else:
             stretches.append((number, 1))
     losses = [s for s in stretches if s[1] * walk.delta > 1.0 - 1e-9]
-    recovered = [s for s in losses if s[0] + s[1] < len(good)]
+    recovered = [s for s in losses if s[0] + s[1] < len(kept)]
     n = len(walked)
-    apart = [math.dist(walk.agent[row], walk.person[row]) for row in walked]
+    gaps = [math.dist(walk.agent[row], walk.person[row]) for row in walked]
     return {
         "steps": n,
         "reference_steps": walk.reference,
-        "following_steps": sum(good),
-        "following_rate": sum(good) / (n if n > walk.reference else walk.reference),
+        "following_steps": sum(kept),
+        "following_rate": sum(kept) / (n if n > walk.reference else walk.reference),
         "success": success,
         "touched": end == "touch",
         "lost": end == "lost",
         "end": end,
-        "distance_error": sum(abs(d - walk.preferred) for d in apart) / n,
+        "distance_error": sum(abs(d - walk.preferred) for d in gaps) / n,
         "bearing": sum(off_axis(row, walk.person[row]) for row in walked) / n,
         "visible_share": None
         if walk.pixels is None
@@ -128,8 +128,8 @@ def judge_following(walk: JudgedWalk, profile: str) -> dict[str, float | str | N
         "first_loss": losses[0][0] * walk.delta if losses else None,
         "recoveries": len(recovered),
         "recovery_seconds": sum(s[1] for s in recovered) * walk.delta,
-        "wrong_person": sum(
-            1 for row, ok in zip(walked, good, strict=True) if not ok and held_by_another(row)
+        "wrong_person": len(
+            [row for row, ok in zip(walked, kept, strict=True) if not ok and held_by_another(row)]
         )
         / n,
         "by_pictures": walk.pixels is not None,

@@ -14,8 +14,8 @@ _MODULES = (
     "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "crowd", "policies", "missions",
     "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
     "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "dagger",
-    "dapo", "episode_rl", "training_state", "people_dress", "people_looks",
-    "people_words",
+    "dapo", "episode_rl", "training_state", "people_dress", "people_looks", "people_sim",
+    "people_words", "people_follow",
 )  # fmt: skip
 
 

@@ -25,10 +25,16 @@ from gn0.people.reach import (
     BLOCKED_BY,
     CLIP_SINCE,
     DIRECTION,
+    HX,
+    HY,
     NOBODY,
     REALS,
     WHOLES,
+    X0,
+    Y0,
     Pace,
+    X,
+    Y,
 )
 from gn0.people.route import I64, Routes
 from gn0.people.tick import tick_people
@@ -105,15 +111,24 @@ def place_people(state: CrowdState, episode: int, routes: Routes, numbers: Seque
         routes: the table of all routes.
         numbers: those of its people, in the order of `Episode.people`.
     """
-    state.route[episode] = -1
-    state.real[episode], state.whole[episode] = 0.0, 0
-    for row, route in enumerate(numbers):
-        state.route[episode, row] = route
-        x, y = routes.points[routes.table[route, 0], :2]
-        fx, fy = routes.lines[route, 2:]
-        state.real[episode, row, :6] = x, y, x, y, fx, fy
-        now = state.whole[episode, row]
-        now[DIRECTION], now[BLOCKED_BY], now[CLIP_SINCE] = 1, NOBODY, LONG_AGO
+    rows = np.asarray(numbers, np.int64)
+    place_rows(state.real, state.whole, state.route, routes, episode, rows)
+
+
+@njit
+def place_rows(real, whole, route, routes, row, numbers):  # type: ignore[no-untyped-def]
+    """`place_people` for kernels: the people of episode `row` on the routes `numbers`."""
+    route[row], real[row], whole[row] = -1, 0.0, 0
+    for p in range(len(numbers)):
+        r = numbers[p]
+        route[row, p] = r
+        first = routes.table[r, 0]
+        real[row, p, X] = real[row, p, X0] = routes.points[first, 0]
+        real[row, p, Y] = real[row, p, Y0] = routes.points[first, 1]
+        real[row, p, HX], real[row, p, HY] = routes.lines[r, 2], routes.lines[r, 3]
+        whole[row, p, DIRECTION] = 1
+        whole[row, p, BLOCKED_BY] = NOBODY
+        whole[row, p, CLIP_SINCE] = LONG_AGO
 
 
 def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from gn0.jit import njit
+from gn0.jit import njit_borrowing
 from gn0.people.reach import (
     ASIDE_LEFT,
     BACK_LEFT,
@@ -52,7 +52,7 @@ from gn0.people.reach import (
 from gn0.people.route import ACCELERATION
 
 
-@njit
+@njit_borrowing
 def choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
     """The side with more free places beside the way ahead: 1 left, −1 right; right of equals."""
     x, y = real[e, p, X], real[e, p, Y]
@@ -72,7 +72,7 @@ def choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
     return side
 
 
-@njit
+@njit_borrowing
 def nearest_way(routes, r, way, piece, sign, x, y):
     """Nearest point of the path to (x, y), from `way` up to 3 m on: its way, distance, piece."""
     first, last = routes.table[r, 0], routes.table[r, 1] - 2
@@ -98,7 +98,7 @@ def nearest_way(routes, r, way, piece, sign, x, y):
     return found, math.sqrt(best), where
 
 
-@njit
+@njit_borrowing
 def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p):
     """A tick away from everybody, wherever there is room."""
     x, y, v, dt = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED], pace.seconds
@@ -134,7 +134,7 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p)
         whole[e, p, ASIDE_LEFT] = 0
 
 
-@njit
+@njit_borrowing
 def clear_line(walls, wall_arrays, e, x, y, u, v):
     """Whether five places of a short line are free of walls."""
     for k in range(1, 6):
@@ -143,7 +143,7 @@ def clear_line(walls, wall_arrays, e, x, y, u, v):
     return True
 
 
-@njit
+@njit_borrowing
 def come_home(whole, routes, r, way, piece, e, p):
     """Be on the path again; stops that were passed are left out."""
     whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
@@ -152,7 +152,7 @@ def come_home(whole, routes, r, way, piece, e, p):
         whole[e, p, HOLD] += 1
 
 
-@njit
+@njit_borrowing
 def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick beside the path, around whoever is on it."""
     r, dt = route[e, p], pace.seconds
@@ -194,14 +194,15 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
                 ux, uy = (nx - x) / aside, (ny - y) / aside
                 nx, ny = x + ux * step, y + uy * step
             share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny)
-            if share >= 1.0 and (near or aside <= SHUFFLE):
+            free = near or is_free(walls, wall_arrays, e, nx, ny)
+            if share >= 1.0 and free and (near or aside <= SHUFFLE):
                 real[e, p, X], real[e, p, Y] = nx, ny
                 real[e, p, SPEED] = aside / dt if near else now
                 turn_to(real, pace, e, p, sign * tx, sign * ty, pace.seconds)
                 if near:
                     come_home(whole, routes, r, way, piece, e, p)
                 return
-            if share >= 1.0:
+            if share >= 1.0 and free:
                 bx, by, best = ux, uy, 1.0
     carrot = min(max(aside + 0.3, 0.4), 1.2)
     at = min(max(way + sign * carrot, 0.0), length)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from gn0.jit import njit
+from gn0.jit import njit_borrowing
 from gn0.people.route import BRAKE
 
 # float64 columns: place, place a tick ago [m]; unit vector of heading; speed [m/s]; way along the
@@ -79,7 +79,7 @@ class Pace(NamedTuple):
     parts: int
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def turn_to(real, pace, e, p, tx, ty, seconds):
     """Turn towards a unit vector, by as much as a body may; the cosine that is left."""
     hx, hy = real[e, p, HX], real[e, p, HY]
@@ -104,7 +104,7 @@ def turn_to(real, pace, e, p, tx, ty, seconds):
     return nx * tx + ny * ty
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def cap_speed(v, after, room, dt):
     """Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m]."""
     half = 0.5 * BRAKE * dt
@@ -112,7 +112,7 @@ def cap_speed(v, after, room, dt):
     return max(math.sqrt(inside) - half, 0.0) if inside > 0.0 else 0.0
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def share_allowed(real, route, agent, radius, e, p, nx, ny):
     """Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least."""
     x, y = real[e, p, X0], real[e, p, Y0]
@@ -149,7 +149,7 @@ def share_allowed(real, route, agent, radius, e, p, nx, ny):
     return share, who
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def is_crowded(real, route, agent, e, p, reach):
     """Whether anybody's middle is nearer than `reach` [m]."""
     x, y = real[e, p, X0], real[e, p, Y0]
@@ -165,7 +165,7 @@ def is_crowded(real, route, agent, e, p, reach):
     return False
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def piece_at(routes, r, way, piece):
     """The piece of a path that a way is on."""
     first, last = routes.table[r, 0], routes.table[r, 1] - 2
@@ -177,7 +177,7 @@ def piece_at(routes, r, way, piece):
     return k - first
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def place_at(routes, r, way, piece):
     """(x, y) of a way along a path, the piece that it is on, and its tangent."""
     k = routes.table[r, 0] + piece_at(routes, r, way, piece)
@@ -192,7 +192,7 @@ def place_at(routes, r, way, piece):
     )
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach):
     """Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is."""
     r = route[e, p]
@@ -240,7 +240,7 @@ def room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach
     return reach, NOBODY
 
 
-@njit
+@njit_borrowing
 def is_free(walls, wall_arrays, e, x, y):
     """Whether a person's centre may be there, as far as walls go."""
     w = walls[e]
@@ -255,7 +255,7 @@ def is_free(walls, wall_arrays, e, x, y):
     return not wall_arrays.blocked[begin + int(row) * cols + int(col)]
 
 
-@njit
+@njit_borrowing
 def gap_at(real, route, agent, radius, e, p, x, y):
     """Least gap [m] to anybody from a place."""
     least = SIGHT

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from gn0.jit import njit
+from gn0.jit import njit_borrowing
 from gn0.people.detour import (
     choose_side,
     go_round,
@@ -58,7 +58,7 @@ from gn0.people.reach import (
 from gn0.people.route import ACCELERATION, BRAKE, SCRIPT
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e):
     """Everybody's next tick in episode `e`, in place; rows without a route stay as they are."""
     count = real.shape[1]
@@ -93,7 +93,7 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
             whole[e, p, CLIP_SINCE] += 1
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def _hold(real, whole, routes, pace, e, p, r, seconds):
     """Stand at a stop for so long, or begin to; the seconds that are left after it."""
     last = routes.table[r, 3]
@@ -115,7 +115,7 @@ def _hold(real, whole, routes, pace, e, p, r, seconds):
     return seconds
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     """Walk, turn or stand on the path for a part of a tick, `ahead` [m] of it being free.
 
@@ -218,7 +218,7 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     return step
 
 
-@njit
+@njit_borrowing
 def _cruise(real, whole, routes, pace, e, p, r):
     """A tick straight on at full speed, where nothing else is to be done; whether it was."""
     v = real[e, p, SPEED]
@@ -246,7 +246,7 @@ def _cruise(real, whole, routes, pace, e, p, r):
     return True
 
 
-@njit
+@njit_borrowing(forceinline=True)
 def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick on the path."""
     r = route[e, p]

@@ -17,7 +17,7 @@ from gn0.geometry import F32, F64, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.scenes.scene import Scene
-from gn0.sim.batch_eyes import BatchEyes, Snapshot
+from gn0.sim.batch_eyes import BatchEyes, OpenPeople, Snapshot
 from gn0.sim.batch_kernels import (
     AgentArrays,
     EpisodeArrays,
@@ -27,6 +27,7 @@ from gn0.sim.batch_kernels import (
     read_ranges,
     step_agents,
 )
+from gn0.sim.batch_people import CompanyBatch
 from gn0.sim.batch_tables import EpisodeTable, MapTable
 from gn0.sim.ground import GroundStore
 from gn0.sim.open import name_look
@@ -85,6 +86,7 @@ class AgentsHere:
             *(self._which, agents, self._batch.table.maps.arrays, episodes),
             *(rays, float(config.range_limit), out),
         )
+        self._batch.company.limit_ranges(self._which, agents, episodes, rays, out)
         return out
 
 
@@ -101,6 +103,7 @@ class SimulatorBatch:
         scenes_kept: picture-making scenes held while no agent is in them.
         field_memory: bytes that geodesic fields may take.
         navigation: scene id → a map that is there already; what is built of it is left with it.
+        open_people: scene id and its sensors → what shows people; needed for pictures of them.
 
     Raises:
         SimError: a number out of range, a turn that never comes full circle, or pictures asked
@@ -119,6 +122,7 @@ class SimulatorBatch:
         scenes_kept: int = 4,
         field_memory: int = FIELD_MEMORY,
         navigation: Mapping[str, NavigationMap] | None = None,
+        open_people: OpenPeople | None = None,
     ) -> None:
         if count < 1 or max_steps < 1:
             raise SimError(
@@ -138,6 +142,7 @@ class SimulatorBatch:
             np.zeros(count, np.bool_),
             np.zeros(count),
         )
+        self.company = CompanyBatch(count, self.agent, ground, self.table.episodes)
         self._everyone = np.arange(count)
         self.eyes: BatchEyes | None = None
         self._at_once = tuple(s for s in config.carried.sensors if s.many is not None)
@@ -151,7 +156,7 @@ class SimulatorBatch:
                     f"sensors {later} need pictures",
                     remedy="use VectorEnv, or hand open_suite to SimulatorBatch",
                 )
-            self.eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent)
+            self.eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent, open_people)
 
     @property
     def sensors(self) -> frozenset[str]:
@@ -166,7 +171,9 @@ class SimulatorBatch:
         """
         table = self.table
         table.prepare(chosen, self.state.episode)
+        self.company.prepare(chosen, self.state.episode)
         place_agents(which, chosen, self.state, table.maps.arrays, table.fields, table.arrays)
+        self.company.place(which, chosen, self.state)
         table.touch(chosen)
         if self.eyes is not None:
             self.eyes.begin(which)
@@ -183,15 +190,26 @@ class SimulatorBatch:
         step = BatchStep(
             np.empty(self.count), np.empty(self.count, np.bool_), np.empty(self.count, np.bool_)
         )
-        table = self.table
-        step_agents(
-            *(codes, self.state, table.maps.arrays, table.fields, table.arrays),
-            self.agent.forward_step,
-            bool(self.agent.sliding),
-            self.max_steps,
-            *step,
-        )
+        self._move(codes, self.state, self.table.arrays, self.agent.forward_step, step)
         return step
+
+    def _move(
+        self,
+        codes: NDArray[np.int64],
+        agents: AgentArrays,
+        episodes: EpisodeArrays,
+        forward: float,
+        step: BatchStep,
+        shares: F64 | None = None,
+    ) -> None:
+        """Take one action each, people with it where an environment has some."""
+        table = self.table
+        known = (codes, agents, table.maps.arrays, table.fields, episodes)
+        body = forward, bool(self.agent.sliding), self.max_steps
+        if self.company:
+            self.company.step(*known, *body, step, shares)
+        else:
+            step_agents(*known, *body, *step)
 
     def poses(self, which: NDArray[np.int64] | None = None) -> F64:
         """Poses [K, 3] (x, y [m], yaw [rad]) of agents `which`, or of all."""
@@ -234,7 +252,8 @@ class SimulatorBatch:
         episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
         scenes = [name_look(episode) for episode in episodes]
         steps = self.state.steps[chosen].tolist()
-        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), episodes, steps)
+        people = [self.company.state_of(i) for i in chosen.tolist()]
+        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), episodes, steps, people)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.

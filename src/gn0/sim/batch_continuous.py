@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.geometry import wrap_angle
+from gn0.geometry import F64, wrap_angle
 from gn0.sim.batch import BatchStep, SimulatorBatch
-from gn0.sim.batch_kernels import YAW, AgentArrays, EpisodeArrays, step_agents
+from gn0.sim.batch_kernels import COS, SIN, YAW, AgentArrays, EpisodeArrays
 from gn0.sim.continuous import STOP, STRIDE, TURN, read_actions
 
 
@@ -47,18 +47,28 @@ class SimulatorBatchContinuous(SimulatorBatch):
         agents, episodes = self.known()
         strides = self._headings * np.where(codes == STRIDE, amounts, 0.0)[:, None, None]
         steps = np.where(codes == STRIDE, 1, np.where(codes == STOP, 0, 2))  # 2: no move, no STOP
-        step_agents(
-            *(steps, agents, self.table.maps.arrays, self.table.fields),
-            episodes._replace(headings=strides),
-            1.0,
-            bool(self.agent.sliding),
-            self.max_steps,
-            *step,
-        )
+        shares = self._share_strides(strides, codes == STRIDE) if self.company else None
+        self._move(steps, agents, episodes._replace(headings=strides), 1.0, step, shares)
         for i in np.flatnonzero(codes == TURN).tolist():
             yaw = wrap_angle(float(self._headings[i, 0, YAW]) + float(amounts[i]))
             self._headings[i, 0] = yaw, math.cos(yaw), math.sin(yaw)
         return step
+
+    def _share_strides(self, strides: F64, goes: NDArray[np.bool_]) -> F64:
+        """Which part of its stride each agent has done after each tick [N, ticks].
+
+        A short stride takes as long as it takes at the body's speed; see `cut_journey`.
+        """
+        ticks, step = self.agent.step_ticks, self.agent.forward_step
+        shares = np.ones((self.count, ticks))
+        for i in np.flatnonzero(goes).tolist():
+            x, y = self.state.position[i].tolist()
+            x1, y1 = x + float(strides[i, 0, COS]), y + float(strides[i, 0, SIN])
+            long = math.hypot(x1 - x, y1 - y)
+            for k in range(1, ticks):
+                gone = min(long, min(k / ticks, 1.0) * step)
+                shares[i, k - 1] = gone / long if gone < long else 1.0
+        return shares
 
     def known(self) -> tuple[AgentArrays, EpisodeArrays]:
         """Agents and episodes as the kernels read them: agent i plays row i, unturned."""
@@ -71,4 +81,5 @@ class SimulatorBatchContinuous(SimulatorBatch):
             table.label_at[number],
             table.root_at[number],
             self._headings,
+            table.stays[number],
         )

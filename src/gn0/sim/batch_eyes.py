@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.geometry import F64, U8, Pose2D
+from gn0.geometry import F32, F64, U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.people.crowd import CrowdState
 from gn0.sim.history import History
 from gn0.sim.mapping import Mapper
 from gn0.sim.motion import STILL, Moment
+from gn0.sim.people import Company
 from gn0.sim.sensor.sensor import MAP_SIDE
 from gn0.sim.sensors import SensorConfig
 from gn0.sim.simulator import goal_record, goal_view
@@ -22,7 +24,10 @@ from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import OBSERVED
 
 if TYPE_CHECKING:
+    from gn0.sim.people_eyes import PeopleEyes, Wanted
     from gn0.sim.sensors import SensorSuite
+
+CLOUDS_AT_ONCE = 100  # posed clouds of a call of the renderer; all of them fit in a PosedBank
 
 
 @dataclass(eq=False)
@@ -31,6 +36,7 @@ class Kept:
 
     mapper: Mapper | None = None
     goal_picture: NDArray[np.uint8] | None = None
+    company: Company | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,7 @@ class Snapshot:
         kept: [K] what an agent has kept of its episode.
         due: [K] whether the agent's own map lacks what it sees now.
         views: [K] tiles of earlier views, where a sensor looks at them.
+        people: [K] what the people around it do; None where there is nobody.
     """
 
     agents: NDArray[np.int64]
@@ -56,9 +63,11 @@ class Snapshot:
     kept: list[Kept]
     due: NDArray[np.bool_]
     views: list[tuple[U8, ...]]
+    people: list[CrowdState | None]
 
 
-Place = tuple[str, bytes]  # a scene, and a pose with the key of the moment there
+Place = tuple[str, bytes]  # a scene, and a pose with the keys of the moment there and of people
+OpenPeople = Callable[[str, "SensorSuite"], "PeopleEyes"]
 Seen = dict[str, NDArray[Any]]  # a picture by output
 
 
@@ -71,6 +80,8 @@ class BatchEyes:
         open_suite: scene id → the sensors of an agent in that scene, renderer included.
         scenes_kept: scenes held while nobody is in them.
         agent: the body they have.
+        open_people: scene id and sensors there → what shows people; needed where episodes have
+            some.
 
     Attributes:
         reuses: what all agents see now is given in the same arrays each time.
@@ -83,8 +94,11 @@ class BatchEyes:
         open_suite: Callable[[str], SensorSuite],
         scenes_kept: int,
         agent: AgentSpec,
+        open_people: OpenPeople | None = None,
     ) -> None:
         self.config = config
+        self._open_people = open_people
+        self._people: dict[str, PeopleEyes] = {}
         self._agent = agent
         carried = config.carried
         self._sensors = tuple(sensor for sensor in carried.sensors if sensor.many is None)
@@ -132,6 +146,7 @@ class BatchEyes:
         poses: F64,
         episodes: list[Episode],
         steps: list[int],
+        people: list[CrowdState | None],
     ) -> Snapshot:
         """Where agents `which` stand now, with what they have kept of their episodes."""
         due = self._due[which]
@@ -139,7 +154,7 @@ class BatchEyes:
         agents = which.tolist()
         views = [self._histories[i].tiles for i in agents] if self._histories else []
         kept = [self._kept[i] for i in agents]
-        return Snapshot(which, scenes, poses, episodes, steps, kept, due, views)
+        return Snapshot(which, scenes, poses, episodes, steps, kept, due, views, people)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """What sensors read at each snapshot, an array [K, …] each; of maps a list of pictures.
@@ -165,6 +180,7 @@ class BatchEyes:
             if name not in self._suites:
                 idle = [other for other in self._suites if other not in names]
                 while len(idle) > self._scenes_kept:  # let go before loading, not after
+                    self._people.pop(idle[0], None)
                     del self._suites[idle.pop(0)]
                 self._suites[name] = self.open_suite(name)
             self._suites.move_to_end(name)
@@ -177,18 +193,27 @@ class BatchEyes:
             return [[{}] * len(snapshot.agents) for snapshot in snapshots], {}
         requests: list[list[tuple[int, Place]]] = []
         moments: dict[Place, Moment] = {}
+        crowds: dict[Place, Wanted] = {}
         for snapshot in snapshots:
             rows: list[tuple[int, Place]] = []
-            for agent, scene, pose, steps in zip(
-                snapshot.agents.tolist(), snapshot.scenes, snapshot.poses, snapshot.steps,
-                strict=True,
-            ):  # fmt: skip
-                suite, place = self._suites[scene], (scene, pose.tobytes())
+            for k, (agent, scene, pose) in enumerate(
+                zip(snapshot.agents.tolist(), snapshot.scenes, snapshot.poses, strict=True)
+            ):
+                suite, about = self._suites[scene], pose.tobytes()
+                moment = STILL
                 if suite.motion is not None:
-                    moment = suite.moment_at(self._agent.time_after(steps))
-                    place = (scene, pose.tobytes() + moment.key)
-                    moments[place] = moment
-                rows.append((agent, place))
+                    moment = suite.moment_at(self._agent.time_after(snapshot.steps[k]))
+                    about += moment.key
+                company = self._meet(snapshot, k)
+                if company is not None and self._outputs:
+                    crowd = self._eyes_for_people(scene).want(
+                        company, Pose2D(*pose.tolist()), self.config.preset.rgb.fx
+                    )
+                    about += crowd.key
+                    crowds[scene, about] = crowd
+                if suite.motion is not None:
+                    moments[scene, about] = moment
+                rows.append((agent, (scene, about)))
             requests.append(rows)
         missing = dict.fromkeys(
             place for rows in requests for agent, place in rows if self._place[agent] != place
@@ -198,12 +223,13 @@ class BatchEyes:
         drawn: dict[Place, Seen] = {}
         for scene in sorted({scene for scene, _ in missing}):
             places = [place for place in missing if place[0] == scene]
-            poses = [Pose2D(*np.frombuffer(raw[:24], np.float64).tolist()) for _, raw in places]
             outputs = self._outputs | {"rgb"} if goals else self._outputs
-            then = [moments.get(place, STILL) for place in places]
-            pictures = self._suites[scene].look_many(poses, outputs, then)
-            for k, place in enumerate(places):
-                drawn[place] = {name: pixels[k] for name, pixels in pictures.items()}
+            for group in _split_crowds(places, crowds):
+                poses = [Pose2D(*np.frombuffer(raw[:24], np.float64).tolist()) for _, raw in group]
+                then = self._show_people(scene, group, moments, crowds)
+                pictures = self._suites[scene].look_many(poses, outputs, then)
+                for k, place in enumerate(group):
+                    drawn[place] = {name: pixels[k] for name, pixels in pictures.items()}
         for kept, place in goals:
             kept.goal_picture = np.array(drawn[place]["rgb"])
         self._allocate(next(iter(drawn.values()), {}))
@@ -220,6 +246,39 @@ class BatchEyes:
                 now = {name: pixels[agent] for name, pixels in self._seen.items()}
                 seen[-1].append(drawn[place] if fresh else now)
         return seen, latest
+
+    def _show_people(
+        self,
+        scene: str,
+        places: Sequence[Place],
+        moments: Mapping[Place, Moment],
+        crowds: Mapping[Place, Wanted],
+    ) -> list[Moment]:
+        """Whatever moves at places of one scene, people among it."""
+        then = [moments.get(place, STILL) for place in places]
+        here = [k for k, place in enumerate(places) if place in crowds]
+        if here:
+            shown = self._eyes_for_people(scene).show_many([crowds[places[k]] for k in here])
+            for k, parts in zip(here, shown, strict=True):
+                then[k] = Moment(then[k].time, (*then[k].parts, *parts), crowds[places[k]].key)
+        return then
+
+    def _eyes_for_people(self, scene: str) -> PeopleEyes:
+        if scene not in self._people:
+            assert self._open_people is not None, "episodes with people need open_people"
+            self._people[scene] = self._open_people(scene, self._suites[scene])
+        return self._people[scene]
+
+    def _meet(self, snapshot: Snapshot, k: int) -> Company | None:
+        """The people around agent k of a snapshot as they were then; None of nobody."""
+        state, kept = snapshot.people[k], snapshot.kept[k]
+        if state is None:
+            return None
+        if kept.company is None:
+            navigation = self._suites[snapshot.scenes[k]].navigation
+            kept.company = Company(navigation, self._agent)
+        kept.company.restore(snapshot.episodes[k], state)
+        return kept.company
 
     def _find_goals(self, snapshots: Sequence[Snapshot]) -> list[tuple[Kept, Place]]:
         """Goal pictures that are still to be drawn, with the agents' other pictures."""
@@ -276,8 +335,10 @@ class BatchEyes:
             seen.__getitem__,
             lambda: snapshot.views[k],
             lambda: kept.goal_picture,  # type: ignore[arg-type, return-value]
+            lambda: self._tell_who(snapshot, k),
         )
         place.pose = pose = Pose2D(*snapshot.poses[k].tolist())
+        place.company = self._meet(snapshot, k)
         place.episode, place.steps = snapshot.episodes[k], snapshot.steps[k]
         place.time = self._agent.time_after(place.steps)
         if self._explores:
@@ -291,3 +352,31 @@ class BatchEyes:
                 kept.mapper.update(pose, seen["depth"], seen.get("rgb"), time)
             place.mapper = kept.mapper
         return place
+
+    def _tell_who(self, snapshot: Snapshot, k: int) -> tuple[U8, F32]:
+        """Which person each pixel of an agent's picture shows, and how much is seen of each."""
+        from gn0.sim.people_eyes import read_who  # bodies are needed only for pictures
+
+        scene, company = snapshot.scenes[k], self._meet(snapshot, k)
+        suite, pose = self._suites[scene], Pose2D(*snapshot.poses[k].tolist())
+        if company is None:
+            return read_who(suite, pose, (), ())
+        moment = suite.moment_at(self._agent.time_after(snapshot.steps[k]))
+        return self._eyes_for_people(scene).tell_who(suite, company, pose, moment)
+
+
+def _split_crowds(
+    places: Sequence[Place], crowds: Mapping[Place, Wanted]
+) -> Iterator[Sequence[Place]]:
+    """Places that are drawn in one call each: no more posed clouds than are surely kept."""
+    group: list[Place] = []
+    clouds: set[Hashable] = set()
+    for place in places:
+        more = {key for key, _ in crowds[place].clouds} if place in crowds else set()
+        if group and len(clouds | more) > CLOUDS_AT_ONCE:
+            yield group
+            group, clouds = [], set()
+        group.append(place)
+        clouds |= more
+    if group:
+        yield group

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.jit import njit, prange
+from gn0.jit import njit, njit_borrowing, prange
 from gn0.maps.ray import cast_rays_cells, trace_points
 from gn0.maps.slide import slide_points
 
@@ -62,6 +62,7 @@ class EpisodeArrays(NamedTuple):
         goal: float64 [E, 2] m.
         label_at, root_at: int64 [E], where its field begins; −1 while it has none.
         headings: float64 [E, circle, 3]: yaw [rad], cosine and sine after k turns.
+        stays: bool [E], STOP stands still for one action, as where somebody is followed.
     """
 
     scene: NDArray[np.int32]
@@ -70,6 +71,7 @@ class EpisodeArrays(NamedTuple):
     label_at: NDArray[np.int64]
     root_at: NDArray[np.int64]
     headings: F64
+    stays: NDArray[np.bool_]
 
 
 class AgentArrays(NamedTuple):
@@ -92,7 +94,7 @@ class AgentArrays(NamedTuple):
     distance: F64
 
 
-@njit
+@njit_borrowing
 def _distance(maps, fields, episodes, e, x, y):  # type: ignore[no-untyped-def]
     """Geodesic distance [m] of a free point, as `GeodesicField.distance` gives it."""
     scene = episodes.scene[e]
@@ -107,11 +109,29 @@ def _distance(maps, fields, episodes, e, x, y):  # type: ignore[no-untyped-def]
     return max(away, 0.0) * resolution
 
 
-@njit
-def _step_block(  # type: ignore[no-untyped-def]
+@njit_borrowing
+def finish_step(  # type: ignore[no-untyped-def]
+    i, e, action, hit, agents, maps, fields, episodes, max_steps, progress, stopped, truncated
+):  # fmt: skip
+    """What an action of agent i in episode e led to, now that it stands where it ends."""
+    agents.collided[i] = hit
+    agents.steps[i] += 1
+    before = after = agents.distance[i]
+    if action == 1:
+        after = _distance(maps, fields, episodes, e, agents.position[i, 0], agents.position[i, 1])
+    agents.distance[i] = after
+    progress[i] = before - after
+    stops = action == 0 and not episodes.stays[e]
+    stopped[i] = stops
+    truncated[i] = not stops and agents.steps[i] >= max_steps
+
+
+@njit_borrowing
+def step_block(  # type: ignore[no-untyped-def]
     begin, end, actions, agents, maps, fields, episodes, forward, slides, max_steps, progress,
     stopped, truncated,
 ):  # fmt: skip
+    """Actions of agents `begin` to `end`; see `step_agents`."""
     circle = episodes.headings.shape[1]
     for i in range(begin, end):
         e = agents.episode[i]
@@ -136,14 +156,10 @@ def _step_block(  # type: ignore[no-untyped-def]
             agents.turns[i] = (agents.turns[i] + 1) % circle
         elif action == 3:
             agents.turns[i] = (agents.turns[i] + circle - 1) % circle
-        agents.collided[i] = hit
-        agents.steps[i] += 1
-        before = agents.distance[i]
-        after = _distance(maps, fields, episodes, e, x, y) if action == 1 else before
-        agents.distance[i] = after
-        progress[i] = before - after
-        stopped[i] = action == 0
-        truncated[i] = action != 0 and agents.steps[i] >= max_steps
+        finish_step(
+            i, e, action, hit, agents, maps, fields, episodes, max_steps, progress, stopped,
+            truncated,
+        )  # fmt: skip
 
 
 @njit
@@ -161,7 +177,7 @@ def step_agents_serial(  # type: ignore[no-untyped-def]
     truncated,
 ):
     """`step_agents` on one thread."""
-    _step_block(
+    step_block(
         0, len(actions), actions, agents, maps, fields, episodes, forward, slides, max_steps,
         progress, stopped, truncated,
     )  # fmt: skip
@@ -184,7 +200,7 @@ def step_agents_parallel(  # type: ignore[no-untyped-def]
     """`step_agents` on all threads; agents do not meet, so the thread count cannot show."""
     count = len(actions)
     for block in prange((count + BLOCK - 1) // BLOCK):
-        _step_block(
+        step_block(
             block * BLOCK, min(count, (block + 1) * BLOCK), actions, agents, maps, fields, episodes,
             forward, slides, max_steps, progress, stopped, truncated,
         )  # fmt: skip

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
 from gn0.sim.batch_kernels import EpisodeArrays, FieldArrays, MapArrays
 from gn0.sim.collision import check_places
 from gn0.sim.ground import (
@@ -126,6 +126,7 @@ class EpisodeTable:
             np.full(size, -1, np.int64),
             np.full(size, -1, np.int64),
             np.empty((size, self._circle, 3)),  # pages are touched when an episode is prepared
+            np.zeros(size, np.bool_),
         )
 
     def add(self, episodes: Iterable[Episode]) -> NDArray[np.int64]:
@@ -178,6 +179,7 @@ class EpisodeTable:
         arrays.start[number] = episode.start[:2]
         arrays.goal[number] = episode.goal
         arrays.headings[number] = list_headings(episode, self.agent)
+        arrays.stays[number] = isinstance(episode.mission, MissionFollow)
         self._checked[number] = True
 
     def _store(self, labels: NDArray[np.unsignedinteger], roots: F64) -> _Field:
@@ -186,9 +188,9 @@ class EpisodeTable:
             pool = pool.astype(np.uint32)
         if self._label_end + len(labels) > len(pool):
             limit = self._memory // pool.itemsize
-            pool = _grown(pool, self._label_end + len(labels), limit)
+            pool = grow_rows(pool, self._label_end + len(labels), limit)
         if self._root_end + len(roots) > len(table):
-            table = _grown(table, self._root_end + len(roots))
+            table = grow_rows(table, self._root_end + len(roots))
         pool[self._label_end : self._label_end + len(labels)] = labels
         table[self._root_end : self._root_end + len(roots)] = roots
         self.fields = FieldArrays(pool, table)
@@ -239,7 +241,7 @@ class EpisodeTable:
             self._fields[destination_of(episode)].used = self._clock
 
 
-def _grown(array: NDArray[Any], need: int, limit: int = 2**62) -> NDArray[Any]:
+def grow_rows(array: NDArray[Any], need: int, limit: int = 2**62) -> NDArray[Any]:
     """A larger copy with room for `need` rows and half as many more, up to `limit`."""
     size = max(need, min(need + need // 2 + 1024, limit))
     grown = np.zeros((size, *array.shape[1:]), array.dtype)

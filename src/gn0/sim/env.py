@@ -4,7 +4,8 @@ Importing this module, or `gn0.register_envs()`, registers the ids:
 
 * `gn0/GoalNav-v1`: instruction, colour and depth, as VLN agents have them;
 * `gn0/MapNav-v1`: colour, history mosaic, BEV and occupancy picture, as map-based agents have them;
-* `gn0/PointNav-v1`: goal vector and range ring, no pictures: tens of thousands of steps a second.
+* `gn0/PointNav-v1`: goal vector and range ring, no pictures: tens of thousands of steps a second;
+* `gn0/FollowNav-v1`: the same as GoalNav, to follow a person, see `gn0.sim.follow_env`.
 
 An id's version is raised whenever its numbers change. `gymnasium.make_vec("gn0/PointNavDevice-v1")`
 and its like are the same environments on a GPU, see `gn0.sim.device_env`.
@@ -395,6 +396,9 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
 }
 
 
+FOLLOWING = "gn0/FollowNav-v1"
+
+
 def register_envs() -> None:
     """Register GN0's environments with Gymnasium; may be called again."""
     for name, settings in ENVIRONMENTS.items():
@@ -410,6 +414,13 @@ def register_envs() -> None:
                 vector_entry_point="gn0.sim.device_env:VectorEnvDevice",
                 kwargs={"sensors": ("instruction_index", *settings["sensors"][1:])},
             )
+    if FOLLOWING not in gymnasium.registry:
+        gymnasium.register(
+            id=FOLLOWING,
+            entry_point="gn0.sim.follow_env:FollowNavEnv",
+            vector_entry_point="gn0.sim.follow_vector:FollowVectorEnv",
+            kwargs={"sensors": ("instruction", "rgb", "depth")},
+        )
 
 
 register_envs()

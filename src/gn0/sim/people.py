@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gn0.geometry import F32, F64
+from gn0.jit import njit
 from gn0.missions.people import check_people_walls
 from gn0.people.crowd import (
     CrowdState,
@@ -185,15 +186,28 @@ class Company:
         """
         if not self.people:
             return ranges
+        found, state = ranges.copy(), self._state
         reach = self.radius + self.agent.radius
-        away = self.places - (x, y)
-        ux, uy = np.cos(angles), np.sin(angles)
-        found = ranges.copy()
-        for dx, dy in away:
+        shorten_rays(state.real, state.route, 0, reach, x, y, angles, found)
+        return found
+
+
+@njit
+def shorten_rays(real, route, i, reach, x, y, angles, ranges):  # type: ignore[no-untyped-def]
+    """Rays `ranges` [R] m from (x, y), cut in place where the agent would touch somebody.
+
+    `angles` [R] are their directions [rad], `reach` the sum of radii [m]; of environment `i`.
+    """
+    for r in range(len(ranges)):
+        ux, uy = math.cos(angles[r]), math.sin(angles[r])
+        least = np.float64(ranges[r])
+        for p in range(real.shape[1]):
+            if route[i, p] < 0:
+                break
+            dx, dy = real[i, p, X] - x, real[i, p, Y] - y
             along = dx * ux + dy * uy
             aside = dx * uy - dy * ux
             under = reach * reach - aside * aside
-            hit = (along > 0) & (under > 0)
-            room = np.where(hit, along - np.sqrt(np.maximum(under, 0.0)), math.inf)
-            found = np.minimum(found, np.maximum(room, 0.0))
-        return found.astype(np.float32)
+            if along > 0.0 and under > 0.0:
+                least = min(least, max(along - math.sqrt(under), 0.0))
+        ranges[r] = np.float32(least)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +14,10 @@ import numpy as np
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import choose_level
 from gn0.avatars.light import LightProbes, find_probes
-from gn0.avatars.posed_bank import BUDGET, PosedBank
-from gn0.geometry import Pose2D
+from gn0.avatars.posed_bank import BUDGET, Pose, PosedBank
+from gn0.geometry import F32, F64, U8, Pose2D
 from gn0.people.cast import Cast
+from gn0.people.person import PEOPLE_MOST
 from gn0.people.shown import pose_shown, show_person
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
@@ -23,9 +26,30 @@ from gn0.storage import content_hash
 if TYPE_CHECKING:
     from gn0.render.renderer import DrawnScene
     from gn0.scenes.scene import Scene
+    from gn0.sim.motion import Moment
     from gn0.sim.people import Company
+    from gn0.sim.sensors import SensorSuite
 
 BEHIND = 1.0  # m behind an eye from where nobody is drawn: an arm's length and more
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """People in one picture, before their clouds are there.
+
+    Attributes:
+        clouds: [K] a key of `PosedBank` and what poses it.
+        poses: [K] of them in the scene, [4, 4] m.
+        places: [K] where they stand (x, y) [m].
+        numbers: [K] of the people.
+        key: equal where pictures from the same place in the same scene are.
+    """
+
+    clouds: tuple[tuple[Hashable, Pose], ...]
+    poses: tuple[F64, ...]
+    places: tuple[tuple[float, float], ...]
+    numbers: tuple[int, ...]
+    key: bytes
 
 
 class PeopleEyes:
@@ -60,19 +84,13 @@ class PeopleEyes:
             self._probes = find_probes(self.scene.gaussians, self.scene.grid)
         return self._probes
 
-    def show(
-        self, company: Company, eye: Pose2D, focal: float
-    ) -> tuple[tuple[Instance, ...], tuple[int, ...], bytes]:
-        """People as an eye sees them.
+    def want(self, company: Company, eye: Pose2D, focal: float) -> Wanted:
+        """What an eye is to see of people, nothing of which is made yet.
 
         Args:
             company: the people, and what they do.
             eye: where it is, and where it looks.
             focal: of its picture [px], which decides levels of detail.
-
-        Returns:
-            Instances whose clouds the renderer knows, the person number of each, and a key that
-            differs where their pictures may.
 
         Raises:
             EpisodeError: nobody plays one of them.
@@ -95,16 +113,78 @@ class PeopleEyes:
             poses.append(pose)
             places.append((x, y))
             numbers.append(person.number)
-        posed = self.posed.fetch(wanted)
-        self.posed.tell(self.renderer, posed)
-        condition = self._light
-        parts = []
-        for each, pose, (x, y) in zip(posed, poses, places, strict=True):
-            change = () if condition is None else (condition,)
-            gain = self.probes.gain_at(x, y, *change)
-            parts.append(Instance(each.name, pose, gain=gain))
         about = content_hash(
-            msgspec.json.encode([each for each, _ in wanted]),
-            *(part.pose.tobytes() for part in parts),
+            msgspec.json.encode([each for each, _ in wanted]), *(pose.tobytes() for pose in poses)
         )
-        return tuple(parts), tuple(numbers), bytes.fromhex(about)
+        return Wanted(
+            tuple(wanted), tuple(poses), tuple(places), tuple(numbers), bytes.fromhex(about)
+        )
+
+    def show_many(self, views: Sequence[Wanted]) -> list[tuple[Instance, ...]]:
+        """The people of pictures that are drawn in one call, one tuple each.
+
+        The renderer knows their clouds until the next call.
+
+        Raises:
+            ConfigError: together they are larger than the budget.
+        """
+        posed = self.posed.fetch([each for view in views for each in view.clouds])
+        self.posed.tell(self.renderer, posed)
+        names = iter(posed)
+        condition = self._light
+        change = () if condition is None else (condition,)
+        return [
+            tuple(
+                Instance(next(names).name, pose, gain=self.probes.gain_at(x, y, *change))
+                for pose, (x, y) in zip(view.poses, view.places, strict=True)
+            )
+            for view in views
+        ]
+
+    def show(
+        self, company: Company, eye: Pose2D, focal: float
+    ) -> tuple[tuple[Instance, ...], tuple[int, ...], bytes]:
+        """People as an eye sees them; see `want` for the arguments.
+
+        Returns:
+            Instances whose clouds the renderer knows, the person number of each, and a key that
+            differs where their pictures may.
+
+        Raises:
+            EpisodeError: nobody plays one of them.
+        """
+        view = self.want(company, eye, focal)
+        (parts,) = self.show_many([view])
+        return parts, view.numbers, view.key
+
+    def tell_who(
+        self, suite: SensorSuite, company: Company, pose: Pose2D, moment: Moment
+    ) -> tuple[U8, F32]:
+        """Which person each pixel shows, and how much is seen of each; see `gn0.sim.sensor.who`.
+
+        Args:
+            suite: whose colour camera looks.
+            company: the people, and what they do.
+            pose: of the eye.
+            moment: what else moves, then.
+        """
+        parts, numbers, _ = self.show(company, pose, suite.config.preset.rgb.fx)
+        return read_who(suite, pose, (*moment.parts, *parts), numbers)
+
+
+def read_who(
+    suite: SensorSuite, pose: Pose2D, parts: tuple[Instance, ...], numbers: tuple[int, ...]
+) -> tuple[U8, F32]:
+    """Person numbers [H, W], and what is seen of each [16, 6], where the last parts are people."""
+    camera, renderer = suite.config.preset.rgb, suite.renderer
+    picture = np.zeros((camera.height, camera.width), np.uint8)
+    table = np.zeros((PEOPLE_MOST, 6), np.float32)
+    if renderer is None or not parts:
+        return picture, table
+    numbers = (*(0 for _ in parts[len(numbers) :]), *numbers)
+    found = renderer.render_who(camera, suite.views_of([pose]), [parts])
+    picture[:] = np.array((0, *numbers), np.uint8)[found.numbers[0]]
+    for number, seen in zip(numbers, found.seen[0], strict=True):
+        if number:
+            table[number - 1] = seen.share, seen.pixels, *(seen.box or (0, 0, 0, 0))
+    return picture, table

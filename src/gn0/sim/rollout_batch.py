@@ -35,6 +35,8 @@ from gn0.sim.walkers import Walkers, WalkersHost
 
 if TYPE_CHECKING:
     from gn0.sim.device_env import VectorEnvDevice
+    from gn0.sim.people_eyes import PeopleEyes
+    from gn0.sim.sensors import SensorSuite
 
 _WAIT = 2  # LEFT: what agents without an episode do, unseen
 
@@ -219,9 +221,17 @@ def open_agents(
             agent=own.agent,
             max_steps=max_steps,
             open_suite=lambda look: open_simulator(split_look(look)[1], sensors).suite,
+            open_people=lambda look, suite: _open_people(own, look, suite),
             navigation={scene.id: own.navigation},  # scoring and labels ask for the same fields
         )
     )
+
+
+def _open_people(own: Simulator, look: str, suite: SensorSuite) -> PeopleEyes:
+    from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
+
+    assert suite.renderer is not None
+    return PeopleEyes(own.scene, suite.renderer, own.bank, split_look(look)[1])
 
 
 def why_on_host(sensors: frozenset[str], map_mode: str, backend: str) -> str:

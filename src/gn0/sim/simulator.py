@@ -16,13 +16,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, SimError
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
-from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
-from gn0.people.person import PEOPLE_MOST
+from gn0.missions.episode import (
+    AgentSpec,
+    Episode,
+    GoalPicture,
+    MissionFollow,
+    MissionGoal,
+    check_episode,
+)
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import Move, check_finite, check_places, move_agent
@@ -167,7 +172,7 @@ class Simulator:
         self._actuation = config.noise.actuation if config.noise.moves else None
         self._company = Company(navigation, self.agent)
         self._here.company = self._company
-        self._bank, self._light = bank, light
+        self.bank, self._light = bank, light
         self._people: PeopleEyes | None = None
         self._numbers: tuple[int, ...] = ()
         self._episode: Episode | None = None
@@ -288,7 +293,8 @@ class Simulator:
         collision); a teleport takes its yaw, a displacement its turn in any case. They take the
         steps of `gn0.sim.kinematics.Journey`, and end where the episode's steps do; cut, they are
         one collision. Each of those steps lasts as long as an action. STOP ends the episode
-        (`terminated`); reaching `max_steps` without STOP truncates it.
+        (`terminated`), but where a person is to be followed: there it stands still for one action.
+        Reaching `max_steps` without an end truncates it.
 
         With people, a move stops at the tick before it would touch one: `collided`, and
         `info["hit_person"]` is a `gn0.sim.people.PersonHit`, else None.
@@ -330,7 +336,7 @@ class Simulator:
             else:
                 company.wait(x, y, ticks)
                 if code == 0:
-                    stop = True
+                    stop = not isinstance(self.episode.mission, MissionFollow)
                 else:
                     self._turn(1 if code == 2 else -1)
         steps = 1 if self.one_step_moves else spent
@@ -492,25 +498,16 @@ class Simulator:
         if self._people is None:
             from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
 
-            self._people = PeopleEyes(self.scene, renderer, self._bank, self._light)
+            self._people = PeopleEyes(self.scene, renderer, self.bank, self._light)
         self._people.cast.check(episode.people, f"episode {episode.id!r}")
 
     def _who(self) -> tuple[U8, F32]:
         """Person numbers [H, W] of the colour camera, and how much is seen of each [16, 6]."""
+        from gn0.sim.people_eyes import read_who
+
         pose = Pose2D(self._x, self._y, self._yaw)
-        camera, renderer = self.config.preset.rgb, self._suite.renderer
-        picture = np.zeros((camera.height, camera.width), np.uint8)
-        table = np.zeros((PEOPLE_MOST, 6), np.float32)
-        moment = self._moment(pose)
-        if renderer is None or not self._company or not moment.parts:
-            return picture, table
-        numbers = (*(0 for _ in moment.parts[len(self._numbers) :]), *self._numbers)
-        found = renderer.render_who(camera, self._suite.views_of([pose]), [moment.parts])
-        picture[:] = np.array((0, *numbers), np.uint8)[found.numbers[0]]
-        for number, seen in zip(numbers, found.seen[0], strict=True):
-            if number:
-                table[number - 1] = seen.share, seen.pixels, *(seen.box or (0, 0, 0, 0))
-        return picture, table
+        parts = self._moment(pose).parts if self._company else ()
+        return read_who(self._suite, pose, parts, self._numbers)
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

@@ -6,13 +6,18 @@ Environment i, seeded with s, plays exactly what `GoalNavEnv` seeded with s play
 episodes in the same order, the same observations, rewards and infos. An episode that ends is
 followed by the next in the same step (Gymnasium's `AutoresetMode.SAME_STEP`): the observation is
 the new episode's first, and `infos["final_obs"]`, `infos["final_info"]` hold the old one's last.
+
+Where episodes have people, infos also hold `people` [N, P, 4], x, y [m] and the unit vector of each
+one's heading (NaN for nobody), and of a move that was cut because of a person `hit_person`, its
+number (0 none), `hit_by`, who came nearer ("agent" or "person"), and `hit_tick`, the tick of the
+action, from 1, that the agent did not do (0 none).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -23,7 +28,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, EpisodeError
-from gn0.geometry import U8
+from gn0.geometry import F64, U8
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.open import visible_backend
 from gn0.scenes.scene import Scene
@@ -54,6 +59,10 @@ from gn0.sim.sensors import (
 from gn0.sim.tasks import load_tasks
 from gn0.sim.walkers import WalkersHost
 from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
+
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
+    from gn0.sim.people_eyes import PeopleEyes
 
 _DRAWS = 64  # episodes that an environment draws ahead
 
@@ -90,10 +99,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
         vocabulary: how `instruction_tokens` are made, bytes when None; see
             `gn0.sim.words.Vocabulary`, whose fields it may also be.
+        bank: of the people of episodes who have names in one, its folder or itself.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend, action space or render mode.
-        EpisodeError: no episode, or one of a scene that is not here.
+        EpisodeError: no episode, one of a scene that is not here, or with people whom nobody plays.
         SimError: num_envs < 1, or an agent whose turns never come full circle.
         StorageError, FormatError: a file is missing or broken.
     """
@@ -130,6 +140,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         noise: Noise | None = None,
         history_tile: tuple[int, int] | None = None,
         vocabulary: Vocabulary | Mapping[str, Any] | None = None,
+        bank: AvatarBank | Path | str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -143,6 +154,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
         self._motions = dict(motions or {})
+        self._bank = bank
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         self._camera = camera = find_preset(self.tasks.preset, history_tile=history_tile)
         self.noise = noise or Noise()
@@ -170,6 +182,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             open_suite=self._open_suite,
             scenes_kept=scenes_kept,
             field_memory=field_memory,
+            open_people=self._open_people,
         )
         if self.batch.eyes is not None:
             self.batch.eyes.reuses = not copy
@@ -213,6 +226,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 [e.instruction for e in listed],
             )
         )
+        self._most_people = max(len(e.people) for e in listed)
+        if self._most_people and self.batch.eyes is not None:
+            from gn0.people.cast import Cast  # bodies are needed only for pictures
+
+            cast = Cast(self._bank)
+            for episode in listed:
+                cast.check(episode.people, f"episode {episode.id!r}")
         if self._words is not None:
             self._words.extend(listed)
 
@@ -230,6 +250,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             light=light,
             motion=self._motions.get(scene_id),
         ).suite
+
+    def _open_people(self, look: str, suite: SensorSuite) -> PeopleEyes:
+        from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
+
+        scene_id, light = split_look(look)
+        assert suite.renderer is not None
+        return PeopleEyes(self.tasks.scenes[scene_id](), suite.renderer, self._bank, light)
 
     def reset(
         self,
@@ -254,7 +281,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             chosen = self._choose(options["episode"])[which]
         else:
             chosen = self._draw_episodes(which)
-        self.batch.place(which, chosen)
+        self._place(which, chosen)
         self._begun = True
         (observation,) = self._finish([(self._everyone, self._sense(self._everyone))])
         return observation, self._infos(which, np.zeros(self.num_envs, np.bool_))
@@ -270,18 +297,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        progress, terminated, truncated = self.batch.step(actions)
-        distance, episode = self.batch.state.distance, self.batch.state.episode
-        own = self.batch.table.reach[episode]
-        success = terminated & (distance < np.where(own > 0, own, self.success_distance))
-        rewards = progress - STEP_COST
-        rewards[success] += SUCCESS_REWARD
+        rewards, terminated, truncated, success = self._judge(*self.batch.step(actions))
         ended = np.flatnonzero(terminated | truncated)
         parts, final_info = [], {}
         if len(ended):
             final_info = self._infos(ended, success)
             parts.append((ended, self._sense(ended)))
-            self.batch.place(ended, self._draw_episodes(ended))
+            self._place(ended, self._draw_episodes(ended))
             success = np.zeros(self.num_envs, np.bool_)
         parts.append((self._everyone, self._sense(self._everyone)))
         *finals, observation = self._finish(parts)
@@ -294,6 +316,25 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 "_final_info": _mask(ended, self.num_envs),
             }
         return observation, rewards, terminated, truncated, infos
+
+    def _place(self, which: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+        """Begin episodes `chosen` [K] with agents `which` [K]."""
+        self.batch.place(which, chosen)
+
+    def _judge(
+        self, progress: F64, stopped: NDArray[np.bool_], truncated: NDArray[np.bool_]
+    ) -> tuple[F64, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Rewards, which episodes have ended or were cut off, and which succeeded, [N] each."""
+        distance, episode = self.batch.state.distance, self.batch.state.episode
+        own = self.batch.table.reach[episode]
+        success = stopped & (distance < np.where(own > 0, own, self.success_distance))
+        rewards = progress - STEP_COST
+        rewards[success] += SUCCESS_REWARD
+        return rewards, stopped, truncated, success
+
+    def _tell_more(self, which: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """What else infos hold of agents `which` [K]."""
+        return {}
 
     @property
     def episodes(self) -> Sequence[Episode]:
@@ -428,6 +469,15 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             "distance_to_goal": state.distance[which],
             "success": success[which],
         }
+        if self._most_people:
+            hits = self.batch.company.hits(which)
+            values |= {
+                "people": self.batch.company.places(which, self._most_people),
+                "hit_person": hits.number,
+                "hit_by": hits.by,
+                "hit_tick": hits.tick,
+            }
+        values |= self._tell_more(which)
         infos: dict[str, Any] = {}
         for name, value in values.items():
             if len(which) == self.num_envs:

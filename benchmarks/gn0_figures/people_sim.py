@@ -1,0 +1,261 @@
+"""Figures of people in the simulators: steps a second, what holds at every tick, ticks, workers."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numba
+import numpy as np
+
+from gn0.geometry import F64
+from gn0.maps.inflate import inflate
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.people.crowd import build_walls, empty_crowd, find_pace, place_people, step_crowd
+from gn0.people.plan import PeopleSettings, plan_people
+from gn0.people.reach import CLIP, HOLD_LEFT, MODE, X, Y
+from gn0.people.route import build_routes
+from gn0.scenes.scene import Scene
+from gn0.seeds import random_stream
+from gn0.sim.vector import VectorEnv
+from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+
+ENVS = 4096
+SCENES, PER_SCENE, SIDE = 8, 125, 12.0  # 1,000 episodes; side of a floor plan [m]
+PEOPLE = 5
+FOLLOWER = AgentSpec(radius=0.25, step_seconds=0.2)  # 0.25 m and 15° in 0.2 s
+TICKER = AgentSpec(radius=0.25, step_seconds=0.1, forward_step=0.125, turn_degrees=7.5)
+WALL, BODIES = 0.30, 0.50  # m from walls, and between two centres
+SECONDS = 60.0  # of each episode that is looked at tick by tick
+STILL = 0.005  # m a tick
+ROUNDS = 5
+
+
+def _episodes(
+    count: int, per_scene: int, ctx: FigureContext | None = None
+) -> tuple[list[Scene], list[Episode]]:
+    """Floor plans, and episodes in them with five people each where there is room."""
+    scenes = [
+        build_map_scene(build_floor_plan(k, width=SIDE, depth=SIDE), f"plan-{k}")
+        for k in range(count)
+    ]
+    episodes = []
+    for number, scene in enumerate(scenes):
+        if ctx is not None:
+            ctx.progress("people.sim", number, count)
+        ground = NavigationMap(scene.grid, FOLLOWER.radius)
+        for k, bare in enumerate(build_point_episodes(scene, ground, per_scene, agent=FOLLOWER)):
+            people = plan_people(scene, bare, PeopleSettings(count=PEOPLE, seed=k))
+            episodes.append(
+                msgspec.structs.replace(bare, id=f"{scene.id}-{bare.id}", people=people)
+            )
+    return scenes, episodes
+
+
+def _rates(
+    scenes: Sequence[Scene], episodes: Sequence[Episode], people: int
+) -> tuple[float, float]:
+    """Agent-steps a second through `step()`, and those of a second of processor time."""
+    some = [msgspec.structs.replace(e, people=e.people[:people]) for e in episodes]
+    env = VectorEnv(ENVS, scenes, episodes=some, sensors=("goal_vector",), agent=FOLLOWER)
+    env.reset(seed=0)
+    actions = random_stream(0, "figure actions").choice(
+        4, (200 if not people else 60, ENVS), p=[0.01, 0.59, 0.2, 0.2]
+    )
+    for row in actions[: len(actions) // 2]:
+        env.step(row)
+    wall, work = [], []
+    for _ in range(ROUNDS):
+        start, used = time.perf_counter(), time.process_time()
+        for row in actions:
+            env.step(row)
+        wall.append(actions.size / (time.perf_counter() - start))
+        work.append(actions.size / (time.process_time() - used))
+    return float(np.median(wall)), float(np.median(work))
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was seen of people tick by tick.
+
+    Attributes:
+        ticks: looked at, people times ticks.
+        in_walls: of them, with a centre where a wall is nearer than 0.30 m.
+        least_gap: the smallest distance of two centres less the sum of radii [m].
+        longest: the longest time that somebody on its way stood still, without a stop [s].
+        stuck: people who stood for more than 10 s so.
+        hits: moves of agents that were cut by somebody.
+        digest: of all places.
+    """
+
+    ticks: int
+    in_walls: int
+    least_gap: float
+    longest: float
+    stuck: int
+    hits: int
+    digest: str
+
+
+def watch(
+    scenes: Sequence[Scene], episodes: Sequence[Episode], seconds: float, numbers: Sequence[int]
+) -> Found:
+    """Play `episodes[k]` for each k of `numbers`, an agent walking at random in each, and look."""
+    rounds = round(seconds / TICKER.step_seconds)
+    env = VectorEnv(
+        len(numbers), scenes, episodes=episodes, sensors=(), agent=TICKER, max_steps=rounds + 2
+    )
+    env.reset(seed=0, options={"episode": [episodes[k].id for k in numbers]})
+    masks = {s.id: inflate(s.grid, WALL) for s in scenes}
+    walks = np.array(
+        [[p.behaviour == "script" for p in episodes[k].people] + [False] * PEOPLE for k in numbers],
+        dtype=object,
+    )
+    walks = np.array([row[:PEOPLE] for row in walks], np.bool_)
+    actions = np.stack(
+        [random_stream(k, "figure walk").choice(4, rounds, p=[0, 0.7, 0.15, 0.15]) for k in numbers]
+    )
+    crowd, digest = env.batch.company.crowd, [hashlib.blake2b(digest_size=8) for _ in numbers]
+    here = crowd.route >= 0
+    still = np.zeros(here.shape, np.int64)
+    longest, in_walls, least, hits = still.copy(), 0, np.inf, 0
+    pairs = np.triu_indices(here.shape[1] + 1, 1)
+    for tick in range(rounds):
+        *_, infos = env.step(actions[:, tick])
+        crowd = env.batch.company.crowd
+        hits += int((infos["hit_person"] > 0).sum())
+        places = crowd.real[:, :, X : Y + 1]
+        for i, k in enumerate(numbers):
+            digest[i].update(places[i].tobytes())
+            mask = masks[episodes[k].scene_id]
+            cells = np.floor((places[i, walks[i]] - mask.origin) / mask.resolution).astype(int)
+            in_walls += int(mask.blocked[cells[:, 1], cells[:, 0]].sum())
+        everyone = np.concatenate([places, infos["pose"][:, None, :2]], axis=1)
+        there = np.concatenate([here, np.ones((len(here), 1), np.bool_)], axis=1)
+        apart = np.linalg.norm(everyone[:, pairs[0]] - everyone[:, pairs[1]], axis=2)
+        least = min(least, float(apart[there[:, pairs[0]] & there[:, pairs[1]]].min()))
+        waits = walks & (crowd.whole[:, :, CLIP] == 0)
+        waits &= (crowd.real[:, :, HOLD_LEFT] <= 0.0) & (crowd.whole[:, :, MODE] != 2)
+        still = np.where(waits, still + 1, 0)
+        longest = np.maximum(longest, still)
+    whole = hashlib.blake2b(digest_size=8)
+    for _, one in sorted(zip(numbers, digest, strict=True), key=lambda pair: pair[0]):
+        whole.update(one.digest())
+    return Found(
+        ticks=int(here.sum()) * rounds,
+        in_walls=in_walls,
+        least_gap=least - BODIES,
+        longest=float(longest.max()) * TICKER.step_seconds,
+        stuck=int((longest * TICKER.step_seconds > 10.0).sum()),
+        hits=hits,
+        digest=whole.hexdigest(),
+    )
+
+
+def compare_ticks(
+    scenes: Sequence[Scene], episodes: Sequence[Episode], *, alone: bool, seconds: float = 10.0
+) -> F64:
+    """How far each scripted person's places differ at most between ticks of 1/10 and 1/30 s [m]."""
+    walls = build_walls([scene.grid for scene in scenes])
+    number = {scene.id: k for k, scene in enumerate(scenes)}
+    groups = [
+        (number[e.scene_id], group)
+        for e in episodes
+        for group in ([(p,) for p in e.people] if alone else [e.people])
+    ]
+    tracks = []
+    for rate in (10, 30):
+        people = [person for _, group in groups for person in group]
+        routes, state = build_routes(people, rate), empty_crowd(len(groups), PEOPLE)
+        first = 0
+        for row, (scene, group) in enumerate(groups):
+            place_people(state, row, routes, range(first, first + len(group)))
+            state.walls[row] = scene
+            first += len(group)
+        nobody = np.full((len(groups), 3), -1.0)
+        rows = []
+        for tick in range(round(seconds * rate)):
+            step_crowd(state, routes, walls, nobody, pace=find_pace(rate))
+            if (tick + 1) % (rate // 10) == 0:
+                rows.append(state.real[:, :, X : Y + 1].copy())
+        tracks.append(np.stack(rows))
+    scripted = np.zeros(tracks[0].shape[1:3], np.bool_)
+    for row, (_, group) in enumerate(groups):
+        scripted[row, : len(group)] = [p.behaviour == "script" for p in group]
+    worst = np.linalg.norm(tracks[0] - tracks[1], axis=3).max(axis=0)
+    return np.asarray(worst[scripted])
+
+
+def measure_people(ctx: FigureContext) -> list[FigureRow]:
+    """Speed with 0, 1 and 5 people, a thousand episodes tick by tick, ticks, workers."""
+    scenes, episodes = _episodes(SCENES, PER_SCENE, ctx)
+    rows = []
+    here = f"{SCENES} floor plans of {SIDE:g} m, {len(episodes):,} episodes"
+    for people in (0, 1, PEOPLE):
+        wall, work = _rates(scenes, episodes, people)
+        name = f"agent-steps a second, {people} people an environment"
+        detail = (
+            f"{here}, {ENVS} environments, body 0.25 m, 15°, 0.2 s, goal_vector, autoresets "
+            f"included, two threads; {work:.0f} in a second of processor time"
+        )
+        if people == PEOPLE:
+            rows.append(row_at_least(name, wall, 3e5, "1/s", detail))
+        else:
+            rows.append(FigureRow(name=name, value=wall, unit="1/s", detail=detail))
+    numbers = list(range(len(episodes)))
+    found = watch(scenes, episodes, SECONDS, numbers)
+    detail = (
+        f"{here}, {found.ticks:,} ticks of people in {SECONDS:g} s each; agents walk at random at "
+        f"the follower's speeds, {found.hits:,} of their ticks were cut by somebody"
+    )
+    rows += [
+        row_at_most("centres nearer to a wall than 0.30 m", found.in_walls, 0, "ticks", detail),
+        row_at_least("least gap of two bodies", found.least_gap * 1e3, 0, "mm", detail),
+        row_at_most("people stuck for more than 10 s", found.stuck, 0, "people", detail),
+        FigureRow(
+            name="longest that somebody stood still on its way", value=found.longest, unit="s",
+            detail=f"{detail}; stops of the script left out",
+        ),
+    ]  # fmt: skip
+    apart = compare_ticks(scenes, episodes, alone=True)
+    rows.append(
+        row_at_most(
+            "ticks of 0.1 s against 0.033 s, worst", float(apart.max()) * 100, 5, "cm",
+            f"{len(apart):,} scripted people, each by itself among walls, first 10 s",
+        )
+    )  # fmt: skip
+    apart = compare_ticks(scenes, episodes, alone=False)
+    rows.append(
+        FigureRow(
+            name="the same, five together: who differs by less than 5 cm",
+            value=float((apart < 0.05).mean()) * 100, unit="%",
+            detail=f"{len(apart):,} scripted people who meet, wait and go round; median "
+            f"{float(np.median(apart)) * 100:.2g} cm, worst {float(apart.max()):.2f} m",
+        )
+    )  # fmt: skip
+    rows.append(_worker_row(scenes, episodes))
+    return rows
+
+
+def _worker_row(scenes: Sequence[Scene], episodes: Sequence[Episode]) -> FigureRow:
+    """Results that differ by threads, order and shares."""
+    numbers = list(range(0, len(episodes), 4))
+    threads = numba.get_num_threads()
+    results = []
+    for count, order in ((1, numbers), (2, numbers[::-1]), (4, numbers)):
+        numba.set_num_threads(min(count, threads))
+        results.append(watch(scenes, episodes, 10.0, order).digest)
+    numba.set_num_threads(threads)
+    return row_at_most(
+        "results that differ by threads and order", len(set(results)) - 1, 0, "",
+        f"{len(numbers)} episodes of 10 s on 1, 2 and 4 threads (at most {threads} here), "
+        "in two orders",
+    )  # fmt: skip
+
+
+FIGURES = [Figure("people.sim", "People in the simulators", measure_people, 6.0)]

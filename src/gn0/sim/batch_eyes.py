@@ -348,7 +348,8 @@ class BatchEyes:
                     coloured=self._coloured,
                 )
             if snapshot.due[k]:
-                time = place.time if suite.motion is not None else None
+                moves = suite.motion is not None or snapshot.people[k] is not None
+                time = place.time if moves else None
                 kept.mapper.update(pose, seen["depth"], seen.get("rgb"), time)
             place.mapper = kept.mapper
         return place

@@ -6,7 +6,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 import numpy as np
@@ -17,7 +17,8 @@ from gn0.avatars.light import LightProbes, find_probes
 from gn0.avatars.posed_bank import BUDGET, Pose, PosedBank
 from gn0.geometry import F32, F64, U8, Pose2D
 from gn0.people.cast import Cast
-from gn0.people.person import PEOPLE_MOST
+from gn0.people.crowd import CrowdState
+from gn0.people.person import PEOPLE_MOST, EpisodePerson
 from gn0.people.shown import pose_shown, show_person
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
@@ -31,6 +32,17 @@ if TYPE_CHECKING:
     from gn0.sim.sensors import SensorSuite
 
 BEHIND = 1.0  # m behind an eye from where nobody is drawn: an arm's length and more
+
+
+class PeopleAround(Protocol):
+    """People, and what they do: a `Company`, say."""
+
+    @property
+    def people(self) -> tuple[EpisodePerson, ...]: ...
+    @property
+    def state(self) -> CrowdState: ...
+    @property
+    def places(self) -> F64: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +96,7 @@ class PeopleEyes:
             self._probes = find_probes(self.scene.gaussians, self.scene.grid)
         return self._probes
 
-    def want(self, company: Company, eye: Pose2D, focal: float) -> Wanted:
+    def want(self, company: PeopleAround, eye: Pose2D, focal: float) -> Wanted:
         """What an eye is to see of people, nothing of which is made yet.
 
         Args:
@@ -142,7 +154,7 @@ class PeopleEyes:
         ]
 
     def show(
-        self, company: Company, eye: Pose2D, focal: float
+        self, company: PeopleAround, eye: Pose2D, focal: float
     ) -> tuple[tuple[Instance, ...], tuple[int, ...], bytes]:
         """People as an eye sees them; see `want` for the arguments.
 

@@ -16,12 +16,13 @@ from gn0.people.planning import blocked_at
 from gn0.people.route import build_routes
 from gn0.people.tick import X, Y
 from gn0.render.camera import Camera
+from gn0.render.renderer import DrawnScene
 from gn0.sim.people_eyes import PeopleEyes
 from gn0.viewer.viewpoints import EYE, PITCH
 
 if TYPE_CHECKING:
-    from gn0.render.instance import Parts
-    from gn0.render.renderer import DrawnScene
+    from gn0.render.instance import Instance
+    from gn0.render.renderer import Renderer
     from gn0.scenes.scene import Scene
 
 AWAY = (2.6, 3.3, 4.0, 2.1, 5.0)  # m from the eye, the best first
@@ -45,13 +46,13 @@ class _Seen:
 
 def show_bystanders(
     scene: Scene,
-    renderer: DrawnScene,
+    renderer: Renderer,
     poses: Sequence[Pose2D],
     focal: float,
     *,
     most: int = 2,
     seed: int = 0,
-) -> list[Parts]:
+) -> list[tuple[Instance, ...]]:
     """Instances for each view: somebody who walks there, in the first ones that have room.
 
     Args:
@@ -62,9 +63,9 @@ def show_bystanders(
         most: in how many views somebody walks at most.
         seed: who they are.
     """
-    eyes = PeopleEyes(scene, renderer)
+    eyes = PeopleEyes(scene, DrawnScene(renderer))
     walls = build_walls([scene.grid])
-    shown: list[Parts] = [()] * len(poses)
+    shown: list[tuple[Instance, ...]] = [()] * len(poses)
     walkers = 0
     for number, pose in enumerate(poses):
         person = _walker(scene, renderer, pose, f"drawn:{seed}:{walkers}")
@@ -81,7 +82,7 @@ def show_bystanders(
     return shown
 
 
-def _walker(scene: Scene, renderer: DrawnScene, eye: Pose2D, identity: str) -> EpisodePerson | None:
+def _walker(scene: Scene, renderer: Renderer, eye: Pose2D, identity: str) -> EpisodePerson | None:
     """Somebody who walks across a view, at best towards the eye, or nobody."""
     camera = Camera.from_hfov(*THUMB)
     view = view_from_pose(eye.x, eye.y, EYE, eye.yaw, PITCH)

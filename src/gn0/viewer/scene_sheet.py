@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from gn0.geometry import Pose2D, view_from_pose
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
-from gn0.render.instance import Parts
+from gn0.render.instance import Instance
 from gn0.render.labels import colour_labels
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
@@ -30,7 +30,7 @@ def render_sheet(
     width: int = 1920,
     cut_height: float | None = None,
     labels: str = "",
-    people: Sequence[Parts] = (),
+    people: Sequence[Sequence[Instance]] = (),
 ) -> Image.Image:
     """Plan with rooms and objects, BEV, and four views of a scene.
 
@@ -141,7 +141,7 @@ def render_views(
     height: int,
     pitches: Sequence[float] | None = None,
     labels: str = "",
-    people: Sequence[Parts] = (),
+    people: Sequence[Sequence[Instance]] = (),
 ) -> list[Image.Image]:
     """A picture [width x height px] from each pose at eye height, smoothed by 1.5 x 1.5 samples.
 

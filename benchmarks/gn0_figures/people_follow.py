@@ -69,11 +69,9 @@ def measure_missions(ctx: FigureContext) -> list[FigureRow]:
     folders: list[Path] = []
     for turn, (kind, seed) in enumerate(SCENES):
         ctx.progress("building scenes", turn, len(SCENES))
-        settings = GenerateSettings(
-            kind=kind, seed=seed, size="small", density=5000.0, light="draft"
-        )
+        home = GenerateSettings(kind=kind, seed=seed, size="small", density=5000.0, light="draft")
         folders.append(ctx.work / f"{kind}-{seed}")
-        generate_scene(settings, folders[-1], overwrite=True)
+        generate_scene(home, folders[-1], overwrite=True)
     settings = MissionSettings(per_scene=PATHS, missions=("follow",), minimum_length=8.0)
     start = time.perf_counter()
     suite, manifest = generate_missions(

@@ -106,7 +106,7 @@ def judge_scene(unit: tuple[KindName, int]) -> GoalCounts:
         areas=sum(e.in_area for e in episodes),
         above=sum(bool(e.tier) for e in episodes),
         alone=sum(not t and not e.in_area for e, t in zip(episodes, twins, strict=True)),
-        categories=Counter(e.mission.category for e in episodes),  # type: ignore[union-attr]
+        categories=Counter(e.mission.category for e in episodes),
         faults=tuple(faults),
     )
 

@@ -57,7 +57,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "semantic": "gn0.sim.sensor.semantic:SENSOR",
         "instance": "gn0.sim.sensor.instance:SENSOR",
         "who": "gn0.sim.sensor.who:SENSOR",
-        "people_seen": "gn0.sim.sensor.who:SEEN",
+        "people_seen": "gn0.sim.sensor.people_seen:SENSOR",
     },
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",

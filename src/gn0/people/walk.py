@@ -55,7 +55,10 @@ class WalkTrack:
 def walk_alone(
     person: EpisodePerson, seconds: float, *, ticks_a_second: int = TICKS_A_SECOND
 ) -> WalkTrack:
-    """How a person moves with nobody in its way: bit for bit what a simulator plays.
+    """How a person moves with nobody in its way: what a simulator plays.
+
+    Bit for bit where nobody comes near, and to rounding (1e-15 m) where somebody does who is not in
+    the way.
 
     Args:
         person: who, and where it goes.

@@ -38,11 +38,19 @@ class PeopleAround(Protocol):
     """People, and what they do: a `Company`, say."""
 
     @property
-    def people(self) -> tuple[EpisodePerson, ...]: ...
+    def people(self) -> tuple[EpisodePerson, ...]:
+        """Who they are."""
+        ...
+
     @property
-    def state(self) -> CrowdState: ...
+    def state(self) -> CrowdState:
+        """What they do now."""
+        ...
+
     @property
-    def places(self) -> F64: ...
+    def places(self) -> F64:
+        """Where they are [P, 2] m."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

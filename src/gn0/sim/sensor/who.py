@@ -1,4 +1,4 @@
-"""`who` and `people_seen`: which person each pixel shows, and how much of each is seen."""
+"""`who`: which person each pixel shows."""
 
 from __future__ import annotations
 
@@ -23,13 +23,4 @@ SENSOR = Sensor(
     draws=_DRAWN,
     tells="labels",
     read=lambda here: here.who()[0],
-)
-SEEN = Sensor(
-    name="people_seen",
-    doc="float32 [16, 6]: of each person by number the share that is seen, its pixels, and their "
-    "box: left, top, right, bottom. For policies that are told labels",
-    space=lambda settings: Space((PEOPLE_MOST, 6), np.float32, 0.0, 1e9),
-    draws=_DRAWN,
-    tells="labels",
-    read=lambda here: here.who()[1],
 )

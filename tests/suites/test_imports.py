@@ -189,7 +189,7 @@ def test_places_that_a_format_has_no_room_for_are_counted(
 ) -> None:
     """Of twelve episodes four have two places and four an area."""
     suite = replace(flats_suite, episodes=tuple(with_goal_sets(list(flats_suite.episodes))))
-    monkeypatch.setattr("gn0.suites.suite.open_suite", lambda _: suite)
+    monkeypatch.setattr("gn0.suites.named_suites.open_named", lambda _: suite)
     export = ["missions", "export", "suite", "--format"]
     for format, name in FORMATS.items():
         assert main([*export, format, "--out", str(tmp_path / name)]) == 0

@@ -26,6 +26,7 @@ FLOORS = {
     "gaussians": 1, "maps": 1, "jobs": 1, "device": 1,
     "scenes": 2, "render": 2,
     "avatars": 2.5,  # people are made from surfaces, as scenes are; no renderer is known to them
+    "people": 2.75,  # how they walk: missions plan with it what the simulator plays
     "missions": 3, "sim": 3.5,  # half a floor up: sim knows missions, never the other way
     "suites": 4,
     "bench": 5, "data": 5,  # neither knows the other

@@ -56,6 +56,8 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "pose": "gn0.sim.sensor.pose:SENSOR",
         "semantic": "gn0.sim.sensor.semantic:SENSOR",
         "instance": "gn0.sim.sensor.instance:SENSOR",
+        "who": "gn0.sim.sensor.who:SENSOR",
+        "people_seen": "gn0.sim.sensor.who:SEEN",
     },
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",

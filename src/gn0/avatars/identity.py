@@ -175,19 +175,25 @@ def draw_people(seed: int, count: int, *, most_alike: int = 8) -> list[Identity]
     Any two differ in at least two visible attributes, and no cut of top, bottom and hair occurs
     more than `most_alike` times in 200 of them.
     """
+    return [draw_identity(seed, number) for number in draw_numbers(seed, count, most_alike)]
+
+
+def draw_numbers(seed: int, count: int, most_alike: int = 8) -> list[int]:
+    """The numbers by which `draw_identity` gives the people of `draw_people`."""
     found: list[Identity] = []
+    numbers: list[int] = []
     seen: dict[tuple[str, str, str], int] = {}
     limit = max(most_alike * count // 200, 1)
     number = 0
     while len(found) < count:
         person = draw_identity(seed, number)
-        number += 1
         shape = person.silhouette()
-        if seen.get(shape, 0) >= limit or any(person.differences(o) < 2 for o in found):
-            continue
-        seen[shape] = seen.get(shape, 0) + 1
-        found.append(person)
-    return found
+        if seen.get(shape, 0) < limit and all(person.differences(o) >= 2 for o in found):
+            seen[shape] = seen.get(shape, 0) + 1
+            found.append(person)
+            numbers.append(number)
+        number += 1
+    return numbers
 
 
 def traits_of(identity: Identity) -> Traits:

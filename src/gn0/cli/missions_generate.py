@@ -26,6 +26,7 @@ EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out o
   gn0 missions generate out/flat --missions goal --against out/missions --seed 1 --out out/more
   gn0 missions generate out/flat --goals categories --categories chair,bed --out out/search
   gn0 missions generate out/flat --agent navid --out out/turns-of-30
+  gn0 missions generate out/flat --people 5 --agent follower --out out/crowd
   gn0 missions generate out/flat --spec measures.yaml --out out/strict"""
 
 
@@ -67,6 +68,8 @@ class Args(Config, frozen=True):
         attempts: candidates tried for each path asked for (40).
         goal_picture: view on arrival, crop of the target, or either (mixed).
         lights: lighting conditions per scene, of which each path gets one (0: the original light).
+        people: people who walk, stand or sit in each episode, 0 to 16 (0).
+        people_seed: who they are and where they go; the paths stay the same (0).
         split: split of scenes whose corpus does not name one.
         val_seen: share of the paths of training scenes held out as split val_seen (0.1).
         against: earlier generations or suites whose paths must not be repeated.
@@ -116,6 +119,8 @@ class Args(Config, frozen=True):
         Literal["mixed", "view", "crop"] | None, _optional("{mixed,view,crop}")
     ] = None
     lights: Annotated[int | None, _Int] = None
+    people: Annotated[int | None, _Int] = None
+    people_seed: Annotated[int | None, _Int] = None
     split: str = "test"
     val_seen: Annotated[float | None, _Float] = None
     against: tuple[str, ...] = ()
@@ -155,6 +160,10 @@ def read_settings(args: Args) -> MissionSettings:
     for name in ("missions", "styles", "categories"):
         if getattr(args, name):
             plain[name] = [word.strip() for word in getattr(args, name).split(",")]
+    crowd = {"count": args.people, "seed": args.people_seed}
+    given = {name: value for name, value in crowd.items() if value is not None}
+    if given:
+        plain["people"] = {**plain.get("people", {"count": 0}), **given}
     if args.goals == "categories" and not args.missions and not args.spec:
         plain["missions"] = ["goal"]  # a search has no route to tell
     try:

@@ -12,7 +12,9 @@ import msgspec
 from gn0.errors import EpisodeError, brief
 from gn0.geometry import Pose2D
 from gn0.maps.goal_places import GoalSet
+from gn0.missions.people import check_people_of
 from gn0.paper import BODY_RADIUS, EYE_HEIGHT, FORWARD_STEP, TURN_DEGREES
+from gn0.people.person import EpisodePerson
 from gn0.render.light import LightCondition
 
 
@@ -213,6 +215,7 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
             goal is the one of them that the reference path leads to.
         tier: "visible from above" for a target that the bird's-eye view shows; "" for others, and
             where nobody looked.
+        people: who else is there, and what they do.
     """
 
     id: str
@@ -228,6 +231,7 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
     path_source: PathSource = ""
     goal_set: GoalSet | None = None
     tier: str = ""
+    people: tuple[EpisodePerson, ...] = ()
 
     @property
     def destination(self) -> tuple[float, float] | GoalSet:
@@ -279,7 +283,8 @@ def check_episode(episode: Episode) -> Episode:
     """The episode itself, if its values make sense on their own.
 
     Raises:
-        EpisodeError: non-finite pose, goal or path, empty instruction, unsafe id.
+        EpisodeError: non-finite pose, goal or path, empty instruction, unsafe id; people who cannot
+            be there together, or who stand where the agent starts.
     """
     where = f"episode {episode.id!r}"
     values = chain(episode.start, episode.goal, chain.from_iterable(episode.path))
@@ -296,4 +301,6 @@ def check_episode(episode: Episode) -> Episode:
         raise EpisodeError("instruction is empty", where=where, remedy="give it a text")
     if not episode.id or episode.id != episode.id.strip() or any(c in episode.id for c in "/\\\0"):
         raise EpisodeError("id is not a plain name", where=where, remedy="letters, digits, - and _")
+    if episode.people:
+        check_people_of(episode.people, episode.start[:2], episode.agent.radius, where)
     return episode

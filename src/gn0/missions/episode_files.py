@@ -36,6 +36,7 @@ from gn0.missions.episode import (
     check_episode,
 )
 from gn0.missions.paths import rasterise_path
+from gn0.missions.people import decode_people, encode_people
 from gn0.render.light import LightCondition
 from gn0.storage import read_bytes, write_bytes
 
@@ -101,6 +102,7 @@ RARE_COLUMNS: tuple[tuple[str, pa.DataType, str | float], ...] = (
     ("goal_set", _TEXT, ""),  # JSON of a GoalSet; "" where there is one goal
     ("tier", _TEXT, ""),
     ("agent_step_seconds", _REAL, STEP_SECONDS),
+    ("people", _TEXT, ""),  # JSON of a list of EpisodePerson; "" where there is nobody
 )
 
 
@@ -169,6 +171,8 @@ def save_episodes(
     used = [name for name in ("goal_set", "tier") if any(getattr(e, name) for e in episodes)]
     if any(episode.agent.step_seconds != STEP_SECONDS for episode in episodes):
         used.append("agent_step_seconds")
+    if any(episode.people for episode in episodes):
+        used.append("people")
     schema = _schema(used)
     rows: dict[str, list[Any]] = {name: [] for name in schema.names}
     for episode in episodes:
@@ -272,6 +276,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "goal_set": encode_goal_set(episode.goal_set),
         "tier": episode.tier,
         "agent_step_seconds": agent.step_seconds,
+        "people": encode_people(episode.people),
     }
 
 
@@ -473,6 +478,7 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
         path_source=_path_source(cells["path_source"]),
         goal_set=decode_goal_set(cells["goal_set"]),
         tier=cells["tier"],
+        people=decode_people(cells["people"]),
     )
 
 
@@ -606,7 +612,7 @@ def episodes_digest_bytes(episodes: Sequence[Episode]) -> bytes:
     return msgspec.json.encode(plain, order="deterministic")
 
 
-_LATER = ("path_id", "light", "path_source", "goal_set", "tier")
+_LATER = ("path_id", "light", "path_source", "goal_set", "tier", "people")
 _LATER_OF_MISSION: dict[str, tuple[str, ...]] = {
     "goal": ("picture",),
     "instruction": ("object_id", "category", "style"),

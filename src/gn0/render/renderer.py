@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from gn0.device.device import Device
     from gn0.render.encoding import DrawnViews, Encode, MapPicture
     from gn0.render.visible_files import VisibleFiles
+    from gn0.render.who import WhoPictures
 
 ALPHA_CAP = 0.99  # gsplat main and the original 3DGS; gsplat 1.5.3 caps at 0.999
 ALPHA_MIN = 1.0 / 255.0
@@ -402,6 +403,20 @@ class DrawnScene:
             millimetres=millimetres,
             parts=parts,
         )
+
+    def render_who(self, camera: Camera, views: NDArray[np.floating], parts: Parts) -> WhoPictures:
+        """Which of `parts` each pixel of views shows, see `gn0.render.who`; drawn on the host.
+
+        Raises:
+            RenderError: this renderer cannot tell.
+        """
+        tell = getattr(self.renderer, "render_who", None)
+        if tell is None:
+            raise RenderError(
+                f"renderer {self.name!r} cannot tell who is who", remedy="use backend 'cpu'"
+            )
+        found: WhoPictures = tell(camera, views, self.key, parts=parts, visible=self.visible)
+        return found
 
 
 def check_outputs(outputs: Sequence[str]) -> None:

@@ -28,8 +28,9 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -57,6 +58,10 @@ from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
 STEP_COST = 0.01
 SUCCESS_REWARD = 2.5
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
+    from gn0.sim.people import Company
+
 SIMULATORS_KEPT = 4  # scenes held ready at a time
 
 
@@ -64,7 +69,10 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
     """Goal navigation in splat scenes.
 
     Observations are a dict of the chosen sensors plus `collided`. `info` holds what a robot cannot
-    know (pose, distance to goal, success): for logs, never for the agent.
+    know (pose, distance to goal, success): for logs, never for the agent. In episodes with people
+    it also holds `people` float64 [P, 4], x, y [m] and the cosine and sine of the heading of each,
+    and `hit_person`, None or the number of the person for whom the last move was cut, by whom
+    (`agent` or `person`), and at which tick.
 
     Args:
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
@@ -90,6 +98,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         top_down_map: `info["top_down_map"]` follows the agent, see `gn0.sim.top_down_map`.
         noise: what the body adds to depth, pose and moves, see `gn0.sim.noise`.
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
+        bank: of the people of episodes who have names in one, its folder or itself.
         vocabulary: how `instruction_tokens` are made, bytes when None; see
             `gn0.sim.words.Vocabulary`, whose fields it may also be.
     """
@@ -122,6 +131,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         noise: Noise | None = None,
         history_tile: tuple[int, int] | None = None,
         vocabulary: Vocabulary | Mapping[str, Any] | None = None,
+        bank: AvatarBank | Path | str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -131,6 +141,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.copy, self.channels_first = copy, channels_first
         self._shows_map = top_down_map
         self._noise = noise
+        self._bank = bank
         self._map_view = read_map_view(map_view)
         self._map: TopDownMap | None = None
         self._backend = backend
@@ -268,6 +279,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
                 light=light,
                 motion=self._motions.get(scene_id),
                 noise=self._noise,
+                bank=self._bank,
             )
         self._simulators.move_to_end(look)
         while len(self._simulators) > SIMULATORS_KEPT:
@@ -291,6 +303,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             "distance_to_goal": self._distance,
             "success": success,
             **shown,
+            **_tell_people(simulator.company),
         }
 
     def _pack(self, observation: Observation) -> dict[str, Any]:
@@ -317,6 +330,17 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
                 value = move_channels(value, self.copy)
             packed[sensor.name] = value
         return {key: packed[key] for key in self.observation_space}  # type: ignore[attr-defined]
+
+
+def _tell_people(company: Company) -> dict[str, Any]:
+    """Where people are, and whether one was run into; nothing where there is nobody."""
+    if not company:
+        return {}
+    hit = company.hit
+    return {
+        "people": np.hstack([company.places, company.faces]),
+        "hit_person": None if hit is None else asdict(hit),
+    }
 
 
 def build_spaces(

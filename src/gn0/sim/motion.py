@@ -42,17 +42,19 @@ class Moment:
     Attributes:
         time: since the episode began [s].
         parts: where they stand then.
+        about: what else pictures of it depend on, where names of clouds do not say it all.
     """
 
     time: float = 0.0
     parts: tuple[Instance, ...] = ()
+    about: bytes = b""
 
     @cached_property
     def key(self) -> bytes:
         """Equal where the pictures of equal poses are; empty where nothing moves."""
         if not self.parts:
             return b""
-        described: list[str | bytes] = []
+        described: list[str | bytes] = [self.about] if self.about else []
         for part in self.parts:
             gain = b"" if part.gain is None else part.gain.tobytes()
             described += [part.cloud, part.pose.tobytes(), gain]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -27,6 +27,9 @@ from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.sensors import SensorConfig, check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.storage import content_hash
+
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
 
 
 def look_hash(scene: Scene, light: LightCondition | None = None) -> str:
@@ -67,6 +70,7 @@ def open_simulator(
     one_step_moves: bool = False,
     motion: Motion | None = None,
     noise: Noise | None = None,
+    bank: AvatarBank | Path | str | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -90,6 +94,7 @@ def open_simulator(
         one_step_moves: see `Simulator`.
         motion: what moves in the scene, see `gn0.sim.motion`.
         noise: what the body adds to depth, pose and moves; nothing when None.
+        bank: of the people of episodes who have names in one; generated ones need none.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -150,4 +155,6 @@ def open_simulator(
         max_steps=max_steps,
         one_step_moves=one_step_moves,
         motion=motion,
+        bank=bank,
+        light=light,
     )

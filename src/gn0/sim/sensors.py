@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from gn0.render.renderer import DrawnScene
     from gn0.scenes.scene import SceneObject
     from gn0.sim.mapping import Mapper
+    from gn0.sim.people import Company
 
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 SILENCE = Noise()
@@ -387,7 +388,8 @@ class SensorSuite:
             view, bev, grey, (frame.x_min, frame.y_min), frame.metres_per_pixel, place, start[:2]
         )
 
-    def ranges(self, pose: Pose2D) -> F32:
-        """The range ring [R] m at a pose, on the inflated map."""
+    def ranges(self, pose: Pose2D, company: Company | None = None) -> F32:
+        """The range ring [R] m at a pose, on the inflated map, people in the way."""
         angles = pose.yaw + self._ring
-        return cast_rays(self.navigation.inflated, pose.x, pose.y, angles, self.config.range_limit)
+        found = cast_rays(self.navigation.inflated, pose.x, pose.y, angles, self.config.range_limit)
+        return company.limit_ranges(pose.x, pose.y, angles, found) if company else found

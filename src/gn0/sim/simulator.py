@@ -13,20 +13,25 @@ import math
 import operator
 import weakref
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, SimError
-from gn0.geometry import U8, Pose2D, wrap_angle
+from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
+from gn0.people.person import PEOPLE_MOST
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
-from gn0.sim.collision import check_finite, check_places, move_agent
+from gn0.sim.collision import Move, check_finite, check_places, move_agent
 from gn0.sim.history import History
 from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
+from gn0.sim.motion import Moment
 from gn0.sim.noise import sample_move
+from gn0.sim.people import Company
 from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
@@ -41,13 +46,18 @@ from gn0.sim.state import (
 from gn0.sim.state import (
     STEP_SECONDS as STEP_SECONDS,
 )
+from gn0.sim.ticks import cut_journey, cut_move
 
 if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
     from gn0.maps.explored import ExploredState
     from gn0.maps.navigation import NavigationMap
+    from gn0.people.crowd import CrowdState
     from gn0.render.bev import BevPicture
+    from gn0.render.light import LightCondition
     from gn0.render.renderer import DrawnScene
     from gn0.sim.motion import Motion
+    from gn0.sim.people_eyes import PeopleEyes
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +76,7 @@ class SimState:
         explored: the agent's own map, in map mode `explored`.
         spent: what the steps lasted, in actions: more than `steps` only where moves of any length
             take one step; None: as many.
+        people: what the people of the episode do; None where there is nobody.
     """
 
     episode: Episode
@@ -80,6 +91,7 @@ class SimState:
     tiles: tuple[U8, ...]
     explored: ExploredState | None = None
     spent: int | None = None
+    people: CrowdState | None = None
 
 
 class Simulator:
@@ -95,6 +107,8 @@ class Simulator:
             in an episode says what the episode was planned for.
         max_steps: steps until an episode is truncated.
         motion: what moves in the scene, by the time since the episode began.
+        bank: of the people who have names in one; generated ones need none.
+        light: how the renderer's scene is lit, for people in it; as it was made when None.
         one_step_moves: a Teleport or Displacement counts as one step whatever its length, as in
             the paper's global action space; it lasts as long as otherwise.
 
@@ -116,6 +130,8 @@ class Simulator:
         max_steps: int = 500,
         one_step_moves: bool = False,
         motion: Motion | None = None,
+        bank: AvatarBank | Path | str | None = None,
+        light: LightCondition | None = None,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
@@ -139,6 +155,7 @@ class Simulator:
             lambda output: own._look()[output],
             lambda: own._history.tiles,
             lambda: own._look_from_goal(),
+            lambda: own._who(),
         )
         self._mapper: Mapper | None = None
         if config.explores:
@@ -148,6 +165,11 @@ class Simulator:
             )  # fmt: skip
         self._here.mapper = self._mapper
         self._actuation = config.noise.actuation if config.noise.moves else None
+        self._company = Company(navigation, self.agent)
+        self._here.company = self._company
+        self._bank, self._light = bank, light
+        self._people: PeopleEyes | None = None
+        self._numbers: tuple[int, ...] = ()
         self._episode: Episode | None = None
         self._history = History(size=config.preset.history_tile)
         self._over = True
@@ -210,6 +232,11 @@ class Simulator:
         return self.agent.time_after(self._spent) if self._episode is not None else 0.0
 
     @property
+    def company(self) -> Company:
+        """The people of the episode, and where they are: privileged."""
+        return self._company
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended, or none has begun."""
         return self._over
@@ -220,8 +247,8 @@ class Simulator:
         `sensors` narrows what is observed in this episode to a subset of `self.sensors`.
 
         Raises:
-            EpisodeError: of another scene, with NaN, or with a blocked or unreachable start or
-                goal.
+            EpisodeError: of another scene, with NaN, with a blocked or unreachable start or goal,
+                or with people who walk through walls.
             SimError: a sensor is asked for that the agent does not carry.
         """
         check_episode(episode)
@@ -238,6 +265,9 @@ class Simulator:
                 f"sensors {sorted(wanted - self.sensors)} are not carried by this agent",
                 remedy="open the simulator with them",
             )
+        self._company.begin(episode)
+        if episode.people and self._suite.renderer is not None:
+            self._show_people(self._suite.renderer, episode)
         self._episode = episode
         self._want(wanted)
         if self._mapper is not None:
@@ -260,6 +290,9 @@ class Simulator:
         one collision. Each of those steps lasts as long as an action. STOP ends the episode
         (`terminated`); reaching `max_steps` without STOP truncates it.
 
+        With people, a move stops at the tick before it would touch one: `collided`, and
+        `info["hit_person"]` is a `gn0.sim.people.PersonHit`, else None.
+
         Raises:
             SimError: before reset, after the end, or not a valid action (unknown, or holds NaN).
         """
@@ -269,6 +302,8 @@ class Simulator:
                 remedy="call reset(episode) first",
             )
         moved, collided, stop, spent = 0.0, False, False, 1
+        company, ticks = self._company, self.agent.step_ticks
+        company.hit = None
         x, y = self._x, self._y
         if self._actuation is not None and isinstance(action, Displacement | Teleport):
             raise SimError(
@@ -290,13 +325,14 @@ class Simulator:
                 moved, collided = self._slip(code)
             elif code == 1:
                 target = step_forward(x, y, self._yaw, self.agent.forward_step)
-                self._x, self._y, moved, collided = move_agent(
-                    self.navigation, x, y, *target, self.agent
-                )
-            elif code == 0:
-                stop = True
+                move = self._move(*target)
+                self._x, self._y, moved, collided = move
             else:
-                self._turn(1 if code == 2 else -1)
+                company.wait(x, y, ticks)
+                if code == 0:
+                    stop = True
+                else:
+                    self._turn(1 if code == 2 else -1)
         steps = 1 if self.one_step_moves else spent
         self._steps += steps
         self._spent += spent
@@ -304,15 +340,20 @@ class Simulator:
         truncated = not stop and self._steps >= self.max_steps
         self._over = stop or truncated
         observation = self._observe()
-        return StepResult(
-            observation,
-            moved,
-            collided,
-            stop,
-            truncated,
-            {"pose": self._here.pose},
-            steps,
-        )
+        info: dict[str, Any] = {"pose": self._here.pose}
+        if company:
+            info["hit_person"] = company.hit
+        return StepResult(observation, moved, collided, stop, truncated, info, steps)
+
+    def _move(self, x1: float, y1: float) -> Move:
+        """Move towards (x1, y1) [m] for the time of an action, everybody else with it."""
+        company, x, y, ticks = self._company, self._x, self._y, self.agent.step_ticks
+        if not company:
+            return move_agent(self.navigation, x, y, x1, y1, self.agent)
+        move, stopped = company.go(x, y, cut_move(x, y, x1, y1, ticks))
+        if stopped:
+            company.wait(move.x, move.y, ticks - stopped)
+        return move
 
     def _slip(self, code: int) -> tuple[float, bool]:
         """Do FORWARD, LEFT or RIGHT with the body's noise: metres covered, and whether cut."""
@@ -324,7 +365,7 @@ class Simulator:
         there = Displacement(*sample_move(self._actuation, ahead, turn, rng)).at(
             Pose2D(self._x, self._y, self._yaw)
         )
-        move = move_agent(self.navigation, self._x, self._y, there.x, there.y, agent)
+        move = self._move(there.x, there.y)
         self._place(move.x, move.y, wrap_angle(there.yaw), 0)
         return move.moved, move.collided
 
@@ -339,7 +380,15 @@ class Simulator:
             steps = left
             gone, yaw = journey.part(left)
             target = step_forward(x, y, journey.bearing, gone)
-            move = move_agent(self.navigation, x, y, *target, self.agent)
+            x1, y1 = target
+            move = move_agent(self.navigation, x, y, x1, y1, self.agent)
+        company, ticks = self._company, self.agent.step_ticks
+        if company:
+            places = (*cut_journey(journey, x, y, x1, y1)[: steps * ticks - 1], (x1, y1))
+            move, stopped = company.go(x, y, places)
+            if stopped:
+                steps = -(-stopped // ticks)
+                company.wait(move.x, move.y, steps * ticks - stopped)
         self._place(move.x, move.y, wrap_angle(yaw), 0)
         return move.moved, move.collided, steps
 
@@ -377,10 +426,12 @@ class Simulator:
             tiles=self._history.tiles,
             explored=None if self._mapper is None else self._mapper.save(),
             spent=self._spent,
+            people=self._company.save(),
         )
 
     def restore_state(self, state: SimState) -> None:
         """Go back to a saved state, bit for bit."""
+        self._company.restore(state.episode, state.people)
         self._episode = state.episode
         self._want(state.wanted)
         if self._mapper is not None and state.explored is not None:
@@ -416,11 +467,50 @@ class Simulator:
     def _look(self) -> dict[str, NDArray[Any]]:
         """Pictures here and now; not drawn again while nothing moves, the agent included."""
         pose, last = Pose2D(self._x, self._y, self._yaw), self._last_look
-        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        moment = self._moment(pose)
         if last is None or last[0] != pose or last[1] != moment.key:
             last = (pose, moment.key, self._suite.look(pose, self._outputs, moment))
             self._last_look = last
         return last[2]
+
+    def _moment(self, pose: Pose2D) -> Moment:
+        """Whatever moves, people among it, as an eye at a pose sees it now."""
+        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        if not self._company or self._people is None:
+            return moment
+        parts, self._numbers, key = self._people.show(
+            self._company, pose, self.config.preset.rgb.fx
+        )
+        return Moment(moment.time, (*moment.parts, *parts), key)
+
+    def _show_people(self, renderer: DrawnScene, episode: Episode) -> None:
+        """Make sure that the people of an episode can be shown.
+
+        Raises:
+            EpisodeError: nobody plays one of them.
+        """
+        if self._people is None:
+            from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
+
+            self._people = PeopleEyes(self.scene, renderer, self._bank, self._light)
+        self._people.cast.check(episode.people, f"episode {episode.id!r}")
+
+    def _who(self) -> tuple[U8, F32]:
+        """Person numbers [H, W] of the colour camera, and how much is seen of each [16, 6]."""
+        pose = Pose2D(self._x, self._y, self._yaw)
+        camera, renderer = self.config.preset.rgb, self._suite.renderer
+        picture = np.zeros((camera.height, camera.width), np.uint8)
+        table = np.zeros((PEOPLE_MOST, 6), np.float32)
+        moment = self._moment(pose)
+        if renderer is None or not self._company or not moment.parts:
+            return picture, table
+        numbers = (*(0 for _ in moment.parts[len(self._numbers) :]), *self._numbers)
+        found = renderer.render_who(camera, self._suite.views_of([pose]), [moment.parts])
+        picture[:] = np.array((0, *numbers), np.uint8)[found.numbers[0]]
+        for number, seen in zip(numbers, found.seen[0], strict=True):
+            if number:
+                table[number - 1] = seen.share, seen.pixels, *(seen.box or (0, 0, 0, 0))
+        return picture, table
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

@@ -17,6 +17,7 @@ from gn0.sim.history import build_mosaic
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.sim.mapping import Mapper
+    from gn0.sim.people import Company
     from gn0.sim.sensors import SensorSuite
 
 
@@ -34,6 +35,7 @@ class Standpoint:
         suite: its sensors; None for those that look at nothing but where it is.
         seen, views, goal_picture: what lies before its eyes by output, its earlier views, and the
             picture of its goal, when they are asked for.
+        who: which person each pixel of its picture shows, and how much is seen of each.
 
     Attributes:
         pose: where it stands.
@@ -41,6 +43,7 @@ class Standpoint:
         steps: that it has taken.
         time: seconds since its episode began.
         mapper: its own map, in map mode `explored`.
+        company: the people around it.
     """
 
     def __init__(
@@ -49,14 +52,16 @@ class Standpoint:
         seen: Callable[[str], NDArray[Any]] = _nothing,
         views: Callable[[], tuple[U8, ...]] = _nothing,
         goal_picture: Callable[[], U8] = _nothing,
+        who: Callable[[], tuple[U8, F32]] = _nothing,
     ) -> None:
         self._measure = suite
-        self.seen, self.views, self.goal_picture = seen, views, goal_picture
+        self.seen, self.views, self.goal_picture, self.who = seen, views, goal_picture, who
         self.pose = Pose2D(0.0, 0.0, 0.0)
         self.episode: Episode
         self.steps = 0
         self.time = 0.0
         self.mapper: Mapper | None = None
+        self.company: Company | None = None
 
     @property
     def _suite(self) -> SensorSuite:
@@ -96,7 +101,7 @@ class Standpoint:
 
     def ranges(self) -> F32:
         """The range ring [R] m."""
-        return self._suite.ranges(self.pose)
+        return self._suite.ranges(self.pose, self.company)
 
     def random(self, name: str) -> np.random.Generator:
         """A random stream of this episode, step and name."""

@@ -36,6 +36,7 @@ from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import count_texts, write_path_texts
 from gn0.missions.language.providers import open_provider
 from gn0.paper import MAX_STEPS
+from gn0.people.plan import add_people
 from gn0.progress import Progress, no_progress
 from gn0.sim.presets import find_preset
 from gn0.storage import (
@@ -82,8 +83,8 @@ from gn0.version import source_version
 
 # what decides the bytes: half a generation is not gone on with by other code
 _DECIDING = (
-    "geometry.py", "paper.py", "seeds.py", "maps", "missions", "render/light.py", "sim/presets.py",
-    "suites/generation.py", "suites/generation_folder.py",
+    "geometry.py", "paper.py", "seeds.py", "maps", "missions", "people", "avatars/identity.py",
+    "render/light.py", "sim/presets.py", "suites/generation.py", "suites/generation_folder.py",
 )  # fmt: skip
 
 
@@ -280,6 +281,8 @@ def generate_scene(payload: dict[str, Any], progress: Progress = no_progress) ->
         camera=find_preset(request.camera).rgb,
         progress=progress,
     )
+    if settings.people:
+        episodes = add_people(scene, episodes, settings.people, progress=progress)
     report = msgspec.structs.replace(
         paths.report,
         episodes=count_missions(episodes),

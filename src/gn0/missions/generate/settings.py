@@ -11,6 +11,7 @@ import msgspec
 from gn0.config import Config
 from gn0.errors import ConfigError, FormatError
 from gn0.missions.similarity import SimilaritySettings
+from gn0.people.settings import PeopleSettings
 from gn0.yaml_file import load_yaml
 
 Positive = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
@@ -59,6 +60,7 @@ class MissionSettings(Config, frozen=True):
         language: who writes the texts.
         phrasings: turns of phrase of the grammar: those kept for unseen splits in these and the
             others elsewhere, or the same everywhere. Paths are the same with any.
+        people: who else is in the episodes; the missions of one path share them. Nobody when unset.
     """
 
     per_scene: Count = 50
@@ -84,6 +86,7 @@ class MissionSettings(Config, frozen=True):
     val_seen: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.1
     language: str = "template"
     phrasings: Phrasings = "by_split"
+    people: PeopleSettings | msgspec.UnsetType = msgspec.UNSET
 
     def __post_init__(self) -> None:
         if not self.missions or len(set(self.missions)) != len(self.missions):

@@ -177,6 +177,10 @@ class Here(Protocol):
         """The same tiles in one picture [H, W, 3]."""
         ...
 
+    def who(self) -> tuple[U8, F32]:
+        """Person numbers [H, W], and what is seen of each [16, 6]; see `gn0.sim.sensor.who`."""
+        ...
+
     def goal_picture(self) -> U8:
         """What the goal looks like [H, W, 3]; for sensors with `Sensor.goal_view`."""
         ...

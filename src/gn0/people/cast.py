@@ -1,0 +1,153 @@
+"""Who plays the people of episodes: avatars at all levels of detail, with their clips.
+
+A person of a bank is read, a drawn one is built; either's levels are made once and kept in the
+cache folder, by what they are made of.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+
+from gn0.avatars.avatar import Avatar
+from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
+from gn0.avatars.detail import SHARES, build_levels
+from gn0.avatars.identity import draw_identity
+from gn0.avatars.motion.legs import measure_build
+from gn0.avatars.motion.library import ClipLibrary
+from gn0.avatars.person import build_person
+from gn0.avatars.skeleton import INDEX
+from gn0.avatars.skinning import pose_joints
+from gn0.errors import EpisodeError, Gn0Error
+from gn0.people.person import EpisodePerson, drawn_identity
+from gn0.storage import cache_dir, content_hash
+from gn0.version import source_version
+
+_KEPT = 48  # actors in memory, about 6 MB each
+_DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
+
+
+@dataclass(eq=False)
+class Actor:
+    """An avatar that can be shown.
+
+    Attributes:
+        name: of the identity.
+        digest: of the avatar.
+        levels: from fine to coarse, see `gn0.avatars.detail`.
+    """
+
+    name: str
+    digest: str
+    levels: tuple[Avatar, ...]
+    _libraries: dict[float, ClipLibrary] = field(default_factory=dict)
+    _seats: dict[float, float] = field(default_factory=dict)
+
+    def library(self, seat: float) -> ClipLibrary:
+        """Its clips, those of sitting on a seat of a height [m]."""
+        if seat not in self._libraries:
+            best = self.levels[0]
+            build = measure_build(best.joints, best.points, best.weights)
+            self._libraries[seat] = ClipLibrary(build, int(self.digest[:8], 16), seat)
+        return self._libraries[seat]
+
+    def behind(self, seat: float) -> float:
+        """How far behind its feet the pelvis of who sits is [m]."""
+        if seat not in self._seats:
+            pose, shift = self.library(seat).pose_at("sit", 0.0)
+            _, joints = pose_joints(self.levels[0].joints, pose, shift)
+            self._seats[seat] = -float(joints[INDEX["pelvis"], 2])
+        return self._seats[seat]
+
+
+class Cast:
+    """Actors by identity; those asked for latest are kept.
+
+    Args:
+        bank: of named people; without one only drawn people can be shown.
+    """
+
+    def __init__(self, bank: AvatarBank | Path | str | None = None) -> None:
+        self.bank = AvatarBank(bank) if isinstance(bank, Path | str) else bank
+        self._known: OrderedDict[str, Actor] = OrderedDict()
+
+    def check(self, people: tuple[EpisodePerson, ...], where: str = "") -> None:
+        """Refuse people whom nobody can play, before anything is built.
+
+        Raises:
+            EpisodeError: a name that the bank does not have, or a bank of another hash.
+        """
+        for person in people:
+            if drawn_identity(person.identity) is not None:
+                continue
+            place = f"{where}, person {person.number}, identity".lstrip(", ")
+            if self.bank is None:
+                raise EpisodeError(
+                    f"{person.identity!r} is of a bank of people, and none was given",
+                    where=place,
+                    remedy="give bank=, or people of identities drawn:SEED:NUMBER",
+                )
+            if person.bank and person.bank != self.bank.content_hash:
+                raise EpisodeError(
+                    f"{person.identity!r} is of bank {person.bank}, this is "
+                    f"{self.bank.content_hash}",
+                    where=place,
+                    remedy="give the bank that the episodes were made with",
+                )
+            if person.identity not in self.bank.names:
+                raise EpisodeError(
+                    f"nobody is called {person.identity!r}",
+                    where=place,
+                    remedy=f"choose one of {', '.join(self.bank.names[:6])} …",
+                )
+
+    def find(self, identity: str) -> Actor:
+        """Who plays an identity; the first time it may have to be built, in some seconds.
+
+        Raises:
+            EpisodeError: the bank has nobody of that name.
+            StorageError, FormatError: its file is missing or damaged.
+        """
+        actor = self._known.get(identity)
+        if actor is None:
+            drawn = drawn_identity(identity)
+            if drawn is not None:
+                record = msgspec.json.encode(draw_identity(*drawn))
+                key = content_hash("drawn person", record, _made_by())
+                levels = _keep(key, lambda: build_person(draw_identity(*drawn)))
+            else:
+                self.check((EpisodePerson(number=1, identity=identity, path=((0, 0), (1, 0))),))
+                assert self.bank is not None
+                avatar = self.bank.load(identity)
+                key = content_hash("levels", digest_avatar(avatar), _made_by())
+                levels = _keep(key, lambda: avatar)
+            actor = Actor(identity, digest_avatar(levels[0]), levels)
+            self._known[identity] = actor
+        self._known.move_to_end(identity)
+        while len(self._known) > _KEPT:
+            self._known.popitem(last=False)
+        return actor
+
+
+@lru_cache(1)
+def _made_by() -> str:
+    return source_version(_DECIDING)
+
+
+def _keep(key: str, build: Callable[[], Avatar]) -> tuple[Avatar, ...]:
+    """An avatar's levels, from the cache folder or put there; always as they are read from it."""
+    folder = cache_dir() / "people"
+    count = len(SHARES)
+    paths = [folder / f"{key}-{level}.npz" for level in range(count)]
+    with suppress(Gn0Error):
+        if all(path.is_file() for path in paths):
+            return tuple(load_avatar(path) for path in paths)
+    levels = build_levels(build())
+    folder.mkdir(parents=True, exist_ok=True)
+    return tuple(save_avatar(path, level) for path, level in zip(paths, levels, strict=True))

@@ -1,0 +1,172 @@
+"""Everybody's next tick: one kernel for one episode and for thousands.
+
+Whoever walks is on its path, at a way from its start, and speeds up, brakes and turns within
+bounds. Where another is in its way it brakes, waits, then goes round with an eye on walls, and
+turns back where there is no way round. Everybody reads last tick's places: between two people
+each may come nearer by half of the gap, seen along the line between them, so that no order of
+people can show and no two ever overlap. Only + − × / and square root decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64
+from gn0.jit import njit, prange
+from gn0.maps.grid import OccupancyGrid
+from gn0.maps.inflate import inflate
+from gn0.people.person import RADIUS, WALL_DISTANCE
+from gn0.people.route import I64, Routes
+from gn0.people.tick import (
+    BLOCKED_BY,
+    CLIP_SINCE,
+    DIRECTION,
+    NOBODY,
+    REALS,
+    WHOLES,
+    Pace,
+    tick_people,
+)
+
+TICKS_A_SECOND = 10
+LONG_AGO = 1_000  # ticks: who stands when an episode begins did not just stop
+
+
+class Walls(NamedTuple):
+    """Where people may not be, of one scene or of many, for kernels.
+
+    Attributes:
+        blocked: cells of all scenes, row after row, inflated by 0.30 m.
+        shape: [W, 3] where a scene's cells begin in it, and its rows and columns.
+        frame: [W, 3] x, y of the corner of cell (0, 0) and length of a cell [m].
+    """
+
+    blocked: NDArray[np.bool_]
+    shape: I64
+    frame: F64
+
+
+def build_walls(grids: Sequence[OccupancyGrid], distance: float = WALL_DISTANCE) -> Walls:
+    """What people keep away from, of raw grids in their order."""
+    masks = [inflate(grid, distance).blocked for grid in grids]
+    begins = np.cumsum([0, *(mask.size for mask in masks)])
+    rows = [np.ascontiguousarray(mask).ravel() for mask in masks]
+    shape = [(begin, *mask.shape) for begin, mask in zip(begins, masks, strict=False)]
+    frame = [(*grid.origin, grid.resolution) for grid in grids]
+    return Walls(
+        np.concatenate(rows) if rows else np.zeros(0, np.bool_),
+        np.array(shape, np.int64).reshape(-1, 3),
+        np.array(frame, np.float64).reshape(-1, 3),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class CrowdState:
+    """People of E episodes, P places each; see `gn0.people.tick` for the columns.
+
+    Attributes:
+        real: [E, P, REALS] float64: places, headings, speeds, ways.
+        whole: [E, P, WHOLES] int64: what each is doing.
+        route: [E, P] number of the route; −1 where there is nobody.
+        walls: [E] number of the scene's walls; −1 where nobody minds walls.
+    """
+
+    real: F64
+    whole: I64
+    route: I64
+    walls: I64
+
+    def copy(self) -> CrowdState:
+        """The same in memory of its own."""
+        return CrowdState(self.real.copy(), self.whole.copy(), self.route.copy(), self.walls.copy())
+
+
+def empty_crowd(episodes: int, places: int) -> CrowdState:
+    """Nobody in any of E episodes, with room for P people each."""
+    return CrowdState(
+        np.zeros((episodes, places, REALS)),
+        np.zeros((episodes, places, WHOLES), np.int64),
+        np.full((episodes, places), -1, np.int64),
+        np.full(episodes, -1, np.int64),
+    )
+
+
+def place_people(state: CrowdState, episode: int, routes: Routes, numbers: Sequence[int]) -> None:
+    """Put the people of an episode at the beginning of their routes, in place.
+
+    Args:
+        state: of all episodes.
+        episode: row of the one that begins.
+        routes: the table of all routes.
+        numbers: those of its people, in the order of `Episode.people`.
+    """
+    state.route[episode] = -1
+    state.real[episode], state.whole[episode] = 0.0, 0
+    for row, route in enumerate(numbers):
+        state.route[episode, row] = route
+        x, y = routes.points[routes.table[route, 0], :2]
+        fx, fy = routes.lines[route, 2:]
+        state.real[episode, row, :6] = x, y, x, y, fx, fy
+        now = state.whole[episode, row]
+        now[DIRECTION], now[BLOCKED_BY], now[CLIP_SINCE] = 1, NOBODY, LONG_AGO
+
+
+def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:
+    """Lengths of a tick, for the kernels."""
+    if ticks_a_second == TICKS_A_SECOND:  # nine degrees, to the last bit
+        return Pace(0.1, 0.9876883405951378, 0.15643446504023087, 10, 3)
+    turn = np.pi / 2 / ticks_a_second
+    return Pace(
+        1 / ticks_a_second,
+        float(np.cos(turn)),
+        float(np.sin(turn)),
+        ticks_a_second,
+        max(-(-30 // ticks_a_second), 1),
+    )
+
+
+PACE = find_pace()
+
+
+@njit
+def step_crowd_one(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, row):  # type: ignore[no-untyped-def]
+    """A tick of one episode, `row`; `agent` [E, 3] is x, y [m] and radius, negative for none."""
+    tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, row)
+
+
+@njit(parallel=True)
+def step_crowd_many(real, whole, route, walls, routes, wall_arrays, pace, agent, radius):  # type: ignore[no-untyped-def]
+    """A tick of all episodes; see `step_crowd_one`."""
+    for row in prange(real.shape[0]):
+        tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, row)
+
+
+def step_crowd(
+    state: CrowdState,
+    routes: Routes,
+    walls: Walls,
+    agent: F64,
+    *,
+    pace: Pace = PACE,
+    radius: float = RADIUS,
+) -> None:
+    """Everybody's next tick, in place.
+
+    Args:
+        state: of all episodes.
+        routes: the table that `state.route` counts in.
+        walls: the table that `state.walls` counts in.
+        agent: [E, 3] x, y [m] and radius [m] of each episode's agent; a negative radius is nobody.
+        pace: length of the tick.
+        radius: of people's discs [m].
+    """
+    arrays = (state.real, state.whole, state.route, state.walls, routes, walls, pace, agent, radius)
+    if len(state.real) == 1:
+        step_crowd_one(*arrays, 0)
+    else:
+        step_crowd_many(*arrays)

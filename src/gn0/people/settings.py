@@ -1,0 +1,54 @@
+"""How many people are put into episodes, and of what kind."""
+
+from __future__ import annotations
+
+from gn0.config import Config
+from gn0.errors import ConfigError
+from gn0.people.person import PEOPLE_MOST
+
+
+class PeopleSettings(Config, frozen=True):
+    """Who is put into episodes.
+
+    Attributes:
+        count: how many, 0 to 16.
+        seed: who they are and where they go.
+        groups: share of episodes with a standing group, of those that have people for one.
+        seated: share of people who sit, where there are seats.
+        speeds: m/s between which walkers are drawn.
+        stops: most stops on a way.
+        variety: how many different people there are in all episodes of a seed: the first time that
+            one is seen it is built, which takes seconds.
+        from_start: no one begins nearer to the agent [m].
+        bank: names of the people to draw from; generated ones where there are none.
+        bank_hash: of the bank that they are of.
+    """
+
+    count: int = 3
+    seed: int = 0
+    groups: float = 0.35
+    seated: float = 0.15
+    speeds: tuple[float, float] = (0.5, 1.3)
+    stops: int = 2
+    variety: int = 24
+    from_start: float = 1.2
+    bank: tuple[str, ...] = ()
+    bank_hash: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.count <= PEOPLE_MOST:
+            raise ConfigError(
+                f"{self.count} people in an episode", where="people.count",
+                remedy=f"0 to {PEOPLE_MOST}",
+            )  # fmt: skip
+        if not 1 <= self.variety <= 10_000:
+            raise ConfigError(
+                f"{self.variety} different people", where="people.variety", remedy="1 to 10,000"
+            )
+        if not (0 <= self.groups <= 1 and 0 <= self.seated <= 1 and self.from_start >= 0.5):
+            raise ConfigError("shares are 0 to 1, the distance at least 0.5 m", where="people")
+        if not 0.4 <= self.speeds[0] <= self.speeds[1] <= 1.6 or not 0 <= self.stops <= 8:
+            raise ConfigError(
+                f"speeds {self.speeds} m/s, {self.stops} stops", where="people",
+                remedy="speeds within 0.4 and 1.6 m/s, 0 to 8 stops",
+            )  # fmt: skip

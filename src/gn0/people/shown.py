@@ -1,0 +1,140 @@
+"""How people look at a tick: which clip, which frame of it, blended with which, the head where.
+
+All that a posed cloud depends on is in a key of few values, so that clouds can be kept: phases of
+64 a cycle, frames of a fifth of a second, blends by quarters, looks of five classes. Who walks is
+drawn where its phase says, at most 1.2 cm from where it is, so that a planted foot stays put.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gn0.avatars.motion.gait import PHASES, SPEEDS
+from gn0.avatars.motion.library import LOOKS, look_class, speed_class, turn_head
+from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F64
+from gn0.people.cast import Actor
+from gn0.people.person import EpisodePerson
+from gn0.people.route import I64
+from gn0.people.tick import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
+from gn0.seeds import derive_seed
+
+_STEP = 6  # frames of a clip by time that one is shown for: a fifth of a second
+_BLEND = 4  # ticks that one clip goes over into another
+_PAUSE = 5.0  # s between gestures of who stands
+_NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at
+_STRAIGHT = look_class(0.0)
+
+
+class Shown(NamedTuple):
+    """All that a person's posed cloud depends on, besides who it is and its level of detail.
+
+    Attributes:
+        clip, frame: what it does, and the frame of it; of a walk the phase, 0 to 63.
+        other, other_frame: what it did before, and there; "" where nothing blends.
+        quarter: quarters of the blend that are over.
+        speed: class of the walk; look: class of the head's yaw; seat: height [m].
+    """
+
+    clip: str
+    frame: int
+    other: str
+    other_frame: int
+    quarter: int
+    speed: int
+    look: int
+    seat: float
+
+
+def show_person(
+    person: EpisodePerson, actor: Actor, real: F64, whole: I64, eye: tuple[float, float] | None
+) -> tuple[Shown, F64]:
+    """What is drawn of a person now, and where [4, 4] m.
+
+    Args:
+        person: who.
+        actor: who plays it.
+        real: its row of `CrowdState.real`.
+        whole: its row of `CrowdState.whole`.
+        eye: of an agent (x, y) [m], at which it looks when it is near.
+    """
+    library = actor.library(person.seat)
+    seed = derive_seed(person.seed, "looks")
+    since = int(whole[CLIP_SINCE])
+    hx, hy = float(real[HX]), float(real[HY])
+    forward = 0.0
+    clip, frame, other, other_frame, quarter = "", 0, "", 0, _BLEND
+    gait = speed_class(person.speed)
+    if person.behaviour == "sit":
+        clip = person.clip or "sit"
+        frame = _frame(0.1 * since + 0.1 * (seed % 97))
+        forward = actor.behind(person.seat)
+    elif person.behaviour == "stand":
+        clip, frame = _stand(person, actor, 0.1 * since + 0.1 * (seed % 97), seed)
+    else:
+        stride = library.clip("walk", person.speed).stride
+        cycles = float(real[WALKED]) / stride
+        phase = round(cycles * PHASES)
+        idle = IDLES[seed % len(IDLES)]
+        if whole[CLIP] == WALK:
+            clip, frame, other = "walk", phase % PHASES, idle
+        else:
+            clip, other, other_frame = idle, "walk", phase % PHASES
+            frame = _frame(0.1 * max(since - _BLEND, 0))
+        if since < _BLEND - 1:
+            quarter = since + 1
+        else:
+            other, other_frame = "", 0
+        forward = (phase / PHASES - cycles) * stride
+    if clip not in GESTURES:  # a frame of a loop, or held at its end
+        frame = frame if clip == "walk" else library.clip(clip).row(frame / FPS)
+    look = _STRAIGHT
+    if eye is not None:
+        dx, dy = eye[0] - float(real[X]), eye[1] - float(real[Y])
+        yaw = math.atan2(hx * dy - hy * dx, hx * dx + hy * dy)
+        if dx * dx + dy * dy < _NEAR * _NEAR and abs(yaw) < _SIDE:
+            look = look_class(yaw)
+    pose = np.eye(4)
+    pose[:2, :2] = (hx, -hy), (hy, hx)
+    pose[0, 3], pose[1, 3] = real[X] + hx * forward, real[Y] + hy * forward
+    return Shown(clip, frame, other, other_frame, quarter, gait, look, person.seat), pose
+
+
+def _frame(seconds: float) -> int:
+    return int(seconds * FPS) // _STEP * _STEP
+
+
+def _stand(person: EpisodePerson, actor: Actor, seconds: float, seed: int) -> tuple[str, int]:
+    """Clip and frame of who stands: an idle, or a gesture now and then."""
+    idle = IDLES[seed % len(IDLES)]
+    if not person.clip or person.clip in IDLES:
+        return person.clip or idle, _frame(seconds)
+    lasts = actor.library(person.seat).clip(person.clip).seconds
+    at = seconds % (lasts + _PAUSE)
+    if at < lasts:
+        return person.clip, int(at * FPS) // 3 * 3
+    return idle, _frame(at - lasts)
+
+
+def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
+    """The posed cloud of a key, at a level of detail."""
+    library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
+    now = (shown.clip, _at(shown.clip, shown.frame), speed)
+    if shown.other:
+        before = (shown.other, _at(shown.other, shown.other_frame), speed)
+        share = float(ease(np.asarray(shown.quarter / _BLEND)))
+        pose, shift = library.blend_at(before, now, share)
+    else:
+        pose, shift = library.pose_at(*now)
+    if shown.look != _STRAIGHT:
+        pose = turn_head(pose, math.radians(LOOKS[shown.look]))
+    return actor.levels[level].pose(pose, shift)
+
+
+def _at(clip: str, frame: int) -> float:
+    """Where a clip is read: at a phase, or at a time [s]."""
+    return frame / PHASES if clip == "walk" else frame / FPS

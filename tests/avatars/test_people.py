@@ -17,16 +17,23 @@ from gn0.avatars.poses import trial_poses
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.wardrobe import BOTTOMS, TOPS
 from gn0.errors import DataError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import view_from_pose
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.instance import Instance
 from gn0.seeds import random_stream
 from gn0.viewer.avatar_check import (
     BOTTOM,
     TOP,
     check_avatar,
+    measure_gaps,
     measure_skin,
     read_colour,
     score_colour,
 )
 from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait
+from gn0_trials.people_small import small_person
 
 WOMAN = Identity(seed=11, top="sweater", top_colour="red", top_pattern="knitted", bottom="slim")
 MAN = Identity(
@@ -102,13 +109,63 @@ def test_a_shadow_fades_as_feet_are_lifted(woman: Avatar) -> None:
     on_floor = contact_shadow(woman.joints)
     lifted = contact_shadow(woman.joints + np.array([0.0, 0.3, 0.0]))
     assert (lifted.opacities < on_floor.opacities).all()
-    assert (np.abs(on_floor.means[:, 2]) < 0.01).all()
+    # over the middles of a floor's splats, and below the top of a shoe
+    assert (on_floor.means[:, 2] > 0.01).all() and (on_floor.means[:, 2] < 0.03).all()
+
+
+@pytest.mark.parametrize("size", [0.02, 0.06])
+def test_a_shadow_shows_on_a_floor_of_small_and_of_large_splats(size: float) -> None:
+    """A renderer draws splats by the depth of their middles: the floor must not hide the shadow."""
+    places = np.arange(-1.2, 1.2, 1.4 * size)
+    x, y = (a.ravel() for a in np.meshgrid(places, places))
+    n = len(x)
+    floor = RendererCpu(
+        GaussianCloud(
+            means=np.column_stack([x, y, 0 * x]).astype(np.float32),
+            quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+            scales=np.tile(np.array([size, size, 0.001], np.float32), (n, 1)),
+            opacities=np.full(n, 0.97, np.float32),
+            sh=np.zeros((n, 1, 3), np.float32),  # mid-grey
+        )
+    )
+    joints = small_person().joints  # at rest, standing
+    floor.name_cloud("shadow", contact_shadow(joints))
+    camera, view = Camera.from_vfov(240, 180, 50.0), view_from_pose(-2.5, 0.0, 1.3, 0.0)
+    pictures = [
+        floor.render(camera, view[None], parts=parts, outputs=("rgb",)).rgb
+        for parts in ([], [Instance("shadow", np.eye(4))])
+    ]
+    bare, dark = (
+        picture[0].astype(float).mean(axis=-1) for picture in pictures if picture is not None
+    )
+    seen = bare > 100
+    shade = np.where(seen, dark / np.maximum(bare, 1.0), 1.0)
+    # three large splats gave 0.89 there, and 15 px
+    assert shade.min() < 0.82  # by the feet
+    assert (shade < 0.9).sum() > 40  # px
+    assert (np.abs(shade[:, :40] - 1.0) < 0.02).all()  # and nothing beside
 
 
 @pytest.mark.parametrize("who", [WOMAN, MAN], ids=["woman", "man"])
 def test_no_skin_shows_through_clothes(who: Identity) -> None:
     skin, cloth = measure_skin(build_person(who), trial_poses())
     assert cloth > 10_000 and skin < 1e-3 * cloth
+
+
+def test_clothes_meet_at_neck_wrist_and_waist() -> None:
+    # a shirt in a skirt whose rim is lower in front than behind
+    who = Identity(seed=9, top="long_sleeve", bottom="long_skirt", build="heavy", hair="long01")
+    person = build_person(who, density=0.25)
+    found = measure_gaps(person, trial_poses())
+    assert {name: gaps for name, (gaps, _) in found.items()} == dict.fromkeys(found, 0)
+    assert min(lines for _, lines in found.values()) > 100
+    from dataclasses import replace
+
+    hole = person.part == PARTS.index("top")
+    hole &= np.abs(person.points[:, 1] - person.joints[INDEX["spine1"], 1]) < 0.06
+    torn = replace(person, opacities=np.where(hole, 0, person.opacities).astype(np.float32))
+    gaps, lines = measure_gaps(torn, trial_poses())["waist"]
+    assert gaps > 0.05 * lines
 
 
 @pytest.mark.slow

@@ -25,7 +25,22 @@ from gn0.jit import njit, prange
 
 TO_WORLD: F64 = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of the body's axes
 TO_WORLD.setflags(write=False)
-SHADOWS = 3  # splats of the contact shadow, after all others
+_SHADOWED = ("left_ankle", "right_ankle", "left_foot", "right_foot", "pelvis")
+_FOOT_SIZE, _WIDE_SIZE = 0.030, 0.065  # of the contact shadow's splats [m]
+_RAISED = 0.024  # over the floor, whose splats are large; below the top of a shoe [m]
+
+
+def _shadow_grid(rows: int, columns: int, apart: float, reach: F64, strength: float) -> F64:
+    """Places along and across [m], and opacities, of the splats of a patch [K, 3]."""
+    u, v = np.meshgrid(np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2)
+    places = apart * np.column_stack([u.ravel(), v.ravel()])
+    fall = np.exp(-0.5 * ((places / reach) ** 2).sum(axis=1))
+    return np.column_stack([places, strength * fall])
+
+
+_FOOT = _shadow_grid(6, 3, 0.050, np.array([0.10, 0.06]), 0.62)
+_WIDE = _shadow_grid(5, 5, 0.110, np.array([0.19, 0.19]), 0.42)
+SHADOWS = 2 * len(_FOOT) + len(_WIDE)  # splats of the contact shadow, after all others
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,27 +172,37 @@ def colour_sh(albedo: F32) -> F32:
 def contact_shadow(joints: F64) -> GaussianCloud:
     """Dark flat splats on the floor under a posed body of joints [55, 3] m, body frame.
 
-    One under each foot, fading as it is lifted, and a wide faint one under the pelvis.
+    A patch under each foot, fading as it is lifted, and a wide faint one under the pelvis. They are
+    small: a renderer draws splats by the depth of their middles, so that the near half of a large
+    one is lost in a floor of small ones.
     """
-    at = np.array(
-        [joints[INDEX["left_foot"]], joints[INDEX["right_foot"]], joints[INDEX["pelvis"]]]
+    at = np.array([joints[INDEX[name]] for name in _SHADOWED])
+    ankles, toes, pelvis = at[:2], at[2:4], at[4]
+    lifted = np.maximum(toes[:, 1] - 0.02, 0.0)
+    along = (toes - ankles) * (1.0, 0.0, 1.0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+    across = along[:, [2, 1, 0]] * (1.0, 0.0, -1.0)
+    middle = 0.4 * ankles + 0.6 * toes
+    feet = (
+        middle[:, None] + _FOOT[:, 0, None] * along[:, None] + _FOOT[:, 1, None] * across[:, None]
     )
-    lifted = np.maximum(at[:2, 1] - 0.02, 0.0)
-    strength = np.array(
-        [*(0.42 * np.exp(-lifted / 0.08)), 0.22 * np.exp(-max(at[2, 1] - 0.9, 0.0))]
-    )
-    means = (at * (1.0, 0.0, 1.0)) @ TO_WORLD.T + (-0.03, 0.0, 0.004)
-    sizes = np.array([(0.10, 0.075, 0.001), (0.10, 0.075, 0.001), (0.21, 0.19, 0.001)])
-    dark = np.full((3, 3), 0.012, np.float32)
+    wide = pelvis + np.column_stack([_WIDE[:, 0], np.zeros(len(_WIDE)), _WIDE[:, 1]])
+    places = np.concatenate([feet.reshape(-1, 3), wide])
+    strength = np.concatenate([
+        (np.exp(-lifted / 0.08)[:, None] * _FOOT[:, 2]).ravel(),
+        np.exp(-max(pelvis[1] - 0.9, 0.0)) * _WIDE[:, 2],
+    ])  # fmt: skip
+    size = np.concatenate([np.full(2 * len(_FOOT), _FOOT_SIZE), np.full(len(_WIDE), _WIDE_SIZE)])
+    dark = np.full((SHADOWS, 3), 0.012, np.float32)
     return GaussianCloud(
-        means=means.astype(np.float32),
-        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1)),
-        scales=sizes.astype(np.float32),
+        means=((places * (1.0, 0.0, 1.0)) @ TO_WORLD.T + (0.0, 0.0, _RAISED)).astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (SHADOWS, 1)),
+        scales=np.column_stack([size, size, np.full(SHADOWS, 0.001)]).astype(np.float32),
         opacities=strength.astype(np.float32),
         sh=colour_sh(dark),
-        label=np.full(3, PARTS.index("shadow"), np.int32),
+        label=np.full(SHADOWS, PARTS.index("shadow"), np.int32),
         albedo=dark,
-        normal=np.tile(np.array([0, 0, 1], np.float32), (3, 1)),
+        normal=np.tile(np.array([0, 0, 1], np.float32), (SHADOWS, 1)),
     )
 
 

@@ -17,6 +17,7 @@ from gn0.avatars.skeleton import INDEX
 from gn0.geometry import F64
 
 _SEEN = 0.03  # of a leg within the hem of a skirt [m]
+_RIM, _SECTORS = 0.015, 32  # what is kept within a skirt's rim [m]; where its height is looked at
 SUIT, SKIRT = "helper-tights", "helper-skirt"
 
 
@@ -154,8 +155,25 @@ def sew_skirt(fitting: Fitting, part: str, over: float, cut: Tailoring) -> list[
             inside &= (p[:, 2] > marks.neck[2] - 0.01) & (np.abs(p[:, 0]) < 0.20)
         return inside
 
-    hangs = None if cut.front_only else (end + _SEEN, marks.waist)
+    high = marks.waist
+    if part == "bottom":  # a dress has its own trunk above it
+        high = min(high, _lowest_rim(vertices, middle) - _RIM)
+    hangs = None if cut.front_only else (end + _SEEN, high)
     return [replace(skirt, vertices=vertices, cut=kept, hangs=hangs)]
+
+
+def _lowest_rim(vertices: F64, middle: F64) -> float:
+    """Height of the lowest place of a skirt's upper rim [m]: above it, nothing hides what is worn.
+
+    Args:
+        vertices: of the skirt [V, 3] m.
+        middle: (x, z) of its axis [m].
+    """
+    around = np.arctan2(vertices[:, 0] - middle[0], vertices[:, 2] - middle[1])
+    sector = np.floor((around + np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    rim = np.full(_SECTORS, -np.inf)
+    np.maximum.at(rim, sector, vertices[:, 1])
+    return float(rim[np.isfinite(rim)].min())
 
 
 def sew_scarf(fitting: Fitting, over: float, stream: np.random.Generator) -> list[Layer]:

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gn0.avatars.avatar import Avatar
+from gn0.avatars.avatar import TO_WORLD, Avatar
 from gn0.avatars.colour_names import NEIGHBOURS, name_colour
 from gn0.avatars.layer import PARTS
 from gn0.avatars.poses import standing_pose
-from gn0.avatars.skeleton import JOINTS
+from gn0.avatars.skeleton import INDEX, JOINTS
+from gn0.avatars.skinning import pose_joints
 from gn0.config import Config
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.film import decode_srgb
@@ -31,6 +32,8 @@ _BARE = ("wrist", "index", "middle", "pinky", "ring", "thumb", "head", "jaw", "e
 _NEAR = 0.03  # of cloth before or behind the skin that shows through it [m]
 _SHOWS = 3e-3  # of cloth from which on skin is told of: an arm below a hem gives up to 2e-3
 _INSIDE = 2  # px from the outline of cloth
+_TRUNK = ("pelvis", "spine1", "spine2", "left_hip", "right_hip")
+_CROPPED = ("sports_top",)  # tops that end above the waist
 
 
 class AvatarFinding(Config, frozen=True):
@@ -82,6 +85,75 @@ def measure_skin(
             shown += int((inside & close & (seen.instance[k] == 2)).sum())
             cloth_pixels += int(inside.sum())
     return shown, cloth_pixels
+
+
+def measure_gaps(
+    avatar: Avatar, poses: Sequence[F64 | None], turns: Sequence[float] = (0.0, 1.57, 3.14, 4.71)
+) -> dict[str, tuple[int, int]]:
+    """Sight lines to the bones at neck, wrists and waist, and how many of them meet a gap.
+
+    A line ends at a point inside the body: of the neck, of a forearm's end and a wrist, of the
+    trunk where top and bottom meet. Something has to lie before it, and at the waist it must be no
+    skin where top and bottom are worn.
+
+    Args:
+        avatar: who.
+        poses: poses tried [55, 3] rad.
+        turns: angles from which each is seen [rad].
+
+    Returns:
+        (gaps, lines) of "neck", "wrist" and "waist".
+    """
+    inside = _points_inside(avatar)
+    worn = bool((avatar.part == TOP).any() and (avatar.part == BOTTOM).any())
+    trunk = np.isin(avatar.weights.joint[:, 0], [INDEX[name] for name in _TRUNK])
+    bare = ((avatar.part == SKIN) & trunk).astype(np.int32)  # not an arm that hangs before it
+    counts = {name: [0, 0] for name in inside}
+    for pose in poses:
+        cloud = avatar.pose(pose, shadow=False)
+        transforms, _ = pose_joints(avatar.joints, np.zeros((55, 3)) if pose is None else pose)
+        views = np.array([view_person(turn, 2.0) for turn in turns])
+        drawn = RendererCpu(replace(cloud, label=bare))
+        seen = drawn.render(_CAMERA, views, outputs=("instance", "depth"))
+        assert seen.instance is not None and seen.depth is not None
+        for name, points in inside.items():
+            at = np.array([transforms[j, :, :3] @ p + transforms[j, :, 3] for j, p in points])
+            for k, view in enumerate(views):
+                x, y, z = (at @ TO_WORLD.T @ view[:3, :3].T + view[:3, 3]).T
+                column = np.floor(_CAMERA.fx * x / z + _CAMERA.cx).astype(int)
+                row = np.floor(_CAMERA.fy * y / z + _CAMERA.cy).astype(int)
+                within = (column >= 0) & (column < _CAMERA.width)
+                within &= (row >= 0) & (row < _CAMERA.height)
+                row, column, z = row[within], column[within], z[within]
+                depth, part = seen.depth[k][row, column], seen.instance[k][row, column]
+                gap = ~(depth < z)
+                if name == "waist" and worn and avatar.record.get("top") not in _CROPPED:
+                    gap |= part == 2
+                counts[name][0] += int(gap.sum())
+                counts[name][1] += len(gap)
+    return {name: (gaps, lines) for name, (gaps, lines) in counts.items()}
+
+
+def _points_inside(avatar: Avatar) -> dict[str, list[tuple[int, F64]]]:
+    """Points inside a body at rest where its clothes meet, and the joint that carries each."""
+    at = {name: avatar.joints[k] for name, k in INDEX.items()}
+    found: dict[str, list[tuple[int, F64]]] = {"neck": [], "wrist": [], "waist": []}
+    for share in np.linspace(0.0, 0.8, 5):
+        for aside in (-0.02, 0.0, 0.02):
+            point = at["neck"] + share * (at["head"] - at["neck"]) + (aside, 0.0, 0.0)
+            found["neck"].append((INDEX["neck"], point))
+    for side in ("left", "right"):
+        elbow, wrist, hand = (at[f"{side}_{name}"] for name in ("elbow", "wrist", "middle1"))
+        for share in np.linspace(0.6, 1.0, 5):
+            found["wrist"].append((INDEX[f"{side}_elbow"], elbow + share * (wrist - elbow)))
+        for share in (0.15, 0.3, 0.45):
+            found["wrist"].append((INDEX[f"{side}_wrist"], wrist + share * (hand - wrist)))
+    low, high = at["pelvis"], at["spine2"]
+    for share in np.linspace(0.0, 1.0, 9):
+        for aside in (-0.06, 0.0, 0.06):
+            joint = INDEX["pelvis" if share < 0.35 else "spine1" if share < 0.7 else "spine2"]
+            found["waist"].append((joint, low + share * (high - low) + (aside, 0.0, 0.0)))
+    return found
 
 
 def read_colour(avatar: Avatar, part: int, distance: float = 3.0, light: F64 | None = None) -> str:

@@ -12,6 +12,7 @@ from gn0.avatars.identity import Identity
 from gn0.avatars.motion.cycles import loop_closure
 from gn0.avatars.motion.feet import find_contacts, measure_soles, move_joints
 from gn0.avatars.motion.gait import PHASES, SPEEDS, walk_motion
+from gn0.avatars.motion.hands import box_held, plan_busy
 from gn0.avatars.motion.legs import Build, measure_build
 from gn0.avatars.motion.library import (
     BLEND_SECONDS,
@@ -200,7 +201,7 @@ def test_clips_keep_their_feet(skins: dict[str, Skin], who: str) -> None:
     skin = skins[who]
     library = ClipLibrary(skin.build, seed=7)
     for name in CLIPS:
-        if name in ("walk", "run"):
+        if name in ("walk", "run", "carry"):
             continue
         for speed in (0.5, 1.0, 1.6) if name in ("start", "stop") else (1.0,):
             motion = library.motion(name, speed)
@@ -216,6 +217,39 @@ def test_clips_keep_their_feet(skins: dict[str, Skin], who: str) -> None:
             turns = np.einsum("tkba,tkbc->tkac", frames[:-1], frames[1:])
             angles = np.arccos(np.clip((np.trace(turns, axis1=2, axis2=3) - 1) / 2, -1, 1))
             assert angles.max() < np.radians(22), (name, speed)
+
+
+@pytest.mark.parametrize("who", PEOPLE)
+def test_busy_hands_are_where_they_belong(skins: dict[str, Skin], who: str) -> None:
+    skin = skins[who]
+    library = ClipLibrary(skin.build, seed=7)
+
+    def hands(name: str) -> tuple[np.ndarray, np.ndarray]:
+        _, placed = move_joints(library.motion(name, 1.0), skin.joints)
+        return placed, placed[:, [INDEX["left_middle1"], INDEX["right_middle1"]]]
+
+    placed, at = hands("phone")
+    ear = placed[:, INDEX["head"]] + (0.0, 0.03, 0.0)
+    assert np.linalg.norm(at[:, 1] - ear, axis=1).max() < 0.17
+    assert np.linalg.norm(at[:, 1] - ear, axis=1).min() > 0.07  # beside the head, not in it
+    for name in ("hold", "carry"):
+        placed, at = hands(name)
+        apart = at[:, 0] - at[:, 1]
+        assert np.abs(np.linalg.norm(apart, axis=1) - 0.45).max() < 0.04, name
+        middle = at.mean(axis=1) - placed[:, INDEX["spine1"]]
+        assert middle[:, 2].min() > 0.25 and np.abs(middle[:, 1]).max() < 0.3, name
+    centre, size = box_held(skin.build)
+    assert centre[2] - size[2] / 2 > skin.build.joints[INDEX["spine1"], 2] + 0.1  # before the belly
+    motion = library.motion("carry", 1.0)
+    steps = watch_feet(skin, motion)
+    assert np.percentile(steps.slowest, 95) < 0.02 and steps.lowest.min() > -0.01
+    assert hands_clear(skin, motion) > 0.0
+    assert np.array_equal(motion.poses[0], motion.poses[-1])
+    _, at = hands("talk")
+    assert np.ptp(at[:, :, 1], axis=0).min() > 0.04  # both hands speak
+    assert (at[:, 0, 0] - at[:, 1, 0]).min() > 0.1  # and do not meet
+    with pytest.raises(DataError, match="juggle"):
+        plan_busy(skin.build, library.style, "juggle")
 
 
 @pytest.mark.parametrize("pair", [(0.3, 0.5), (0.8, 1.0), (1.0, 1.3), (1.6, 1.3), (1.3, 0.8)])

@@ -25,6 +25,7 @@ from gn0.avatars.motion.gait import (
     plan_gait,
     shape_gait,
 )
+from gn0.avatars.motion.hands import BUSY, plan_busy, plan_carrying
 from gn0.avatars.motion.legs import Build, Plan, mix_plans, solve_plan
 from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.standing import (
@@ -47,12 +48,12 @@ CATEGORIES: dict[str, str] = {
     "walk": "walk", "run": "run", **dict.fromkeys(IDLES, "stand"), "turn_left": "turn",
     "turn_right": "turn", "start": "start", "stop": "stop", "step_left": "step aside",
     "step_right": "step aside", **{name: name for name in GESTURES}, "sit_down": "sit down",
-    "sit": "sit", "stand_up": "stand up",
+    "sit": "sit", "stand_up": "stand up", **{name: name for name in BUSY}, "carry": "walk",
 }  # fmt: skip
 CLIPS = tuple(CATEGORIES)
-LOOPS = frozenset({"walk", "run", "sit", *IDLES})
-BY_DISTANCE = frozenset({"walk", "run"})
-BY_SPEED = frozenset({"walk", "start", "stop"})
+LOOPS = frozenset({"walk", "run", "carry", "sit", *IDLES, *BUSY})
+BY_DISTANCE = frozenset({"walk", "run", "carry"})
+BY_SPEED = frozenset({"walk", "carry", "start", "stop"})
 LOOKS = (-60.0, -30.0, 0.0, 30.0, 60.0)  # degrees of the five classes of a head that looks aside
 TURN = math.pi / 2  # of a clip that turns on the spot [rad]
 BLEND_SECONDS = (0.2, 0.4)
@@ -168,15 +169,18 @@ class ClipLibrary:
         build, style, kind = self.build, self.style, CATEGORIES[name]
         if name in BY_DISTANCE:
             gait = shape_gait(build, speed or RUN_SPEED, style)
-            plan = plan_gait(build, gait, style, np.arange(PHASES) / PHASES)
+            make = plan_carrying if name == "carry" else plan_gait
+            plan = make(build, gait, style, np.arange(PHASES) / PHASES)
             fps = gait.speed / gait.stride * PHASES
             return Clip(name, kind, plan, fps, True, gait.stride, speed=gait.speed)
         if name in ("start", "stop"):
-            make = plan_start if name == "start" else plan_stop
-            plan, way, meets = make(build, style, speed)
+            begin = plan_start if name == "start" else plan_stop
+            plan, way, meets = begin(build, style, speed)
             return Clip(name, kind, plan, FPS, False, way=way, speed=speed, meets=meets)
         if name in IDLES:
             plan = plan_idle(build, style, name)
+        elif name in BUSY:
+            plan = plan_busy(build, style, name)
         elif name in GESTURES:
             plan = plan_gesture(build, style, name)
         elif name == "sit":

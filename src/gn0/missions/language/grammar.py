@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 HELD_OUT = 0.2  # share of each kind that only unseen splits use
@@ -263,18 +264,23 @@ def _digest(text: str) -> bytes:
     return hashlib.blake2b(text.encode(), digest_size=8).digest()
 
 
-@cache
-def held_out_phrases() -> frozenset[str]:
-    """The phrases that only unseen splits use: about a fifth of each kind, fixed for ever.
+def hold_out(groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
+    """About a fifth of each kind of phrase, fixed for ever: what only unseen splits use.
 
     They are chosen by the digest of their words, so that a phrase added later moves few others.
     A phrase of two kinds is held out in both.
     """
     out: set[str] = set()
-    for group in PHRASES.values():
+    for group in groups.values():
         count = max(1, math.floor(HELD_OUT * len(group) + 0.5))
         out |= set(sorted(group, key=_digest)[:count])
     return frozenset(out)
+
+
+@cache
+def held_out_phrases() -> frozenset[str]:
+    """The phrases of routes and goals that only unseen splits use; see `hold_out`."""
+    return hold_out(PHRASES)
 
 
 @cache

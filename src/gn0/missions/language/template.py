@@ -95,7 +95,12 @@ class ProviderTemplate:
             _write_steps(text)
             _write_arrival(text)
             joined = _join_detailed(text) if style == "detailed" else _join_benchmark(text)
-        return _ON_GROUND.sub(_on_ground, joined), tuple(text.skeleton)
+        return say_grounds(joined), tuple(text.skeleton)
+
+
+def say_grounds(text: str) -> str:
+    """A text in which one is on a lawn, not in it."""
+    return _ON_GROUND.sub(_on_ground, text)
 
 
 def _on_ground(hit: re.Match[str]) -> str:

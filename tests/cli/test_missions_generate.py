@@ -47,7 +47,7 @@ def test_what_is_given_wins_over_the_spec(tmp_path: Path) -> None:
     [
         ({"per_scene": 0}, "--per-scene"),
         ({"minimum_length": -1.0}, "--minimum-length"),
-        ({"missions": "goal,follow"}, "--missions"),
+        ({"missions": "goal,fly"}, "--missions"),
         ({"val_seen": 2.0}, "--val-seen"),
     ],
 )

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gn0.bench.follow_metrics import compute_follow_metrics, score_steps, summarize_following
 from gn0.data.follow import TargetTrack
+from gn0.data.follow_oracle import FollowOracle, FollowTask, choose_following, people_map
 from gn0.errors import PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
@@ -24,7 +25,6 @@ from gn0.policies.box_follower import (
     steer,
 )
 from gn0.policies.follow_floors import PolicyAlwaysStop, StraightAtPerson
-from gn0.policies.follow_oracle import FollowOracle, FollowTask, choose_following, people_map
 from gn0.policies.person_boxes import PersonBox, PictureView, find_boxes
 from gn0.sim.state import Action, Observation
 from gn0_trials.follow_stage import (

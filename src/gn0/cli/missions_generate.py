@@ -1,7 +1,8 @@
 """Generate missions in scenes: goals, starts, paths, filters, pictures and words.
 
 Each accepted path becomes a goal mission (a goal picture and a short instruction) and route
-instructions in two styles; they share the path, so that policies can be compared on it. Rejected
+instructions in two styles; they share the path, so that policies can be compared on it. With
+--types follow a person walks the path, and the mission is to follow that person. Rejected
 candidates are counted, with the reason, in manifest.json. If it is stopped half-way, give the
 same command again: it goes on where it stopped.
 """
@@ -27,6 +28,8 @@ EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out o
   gn0 missions generate out/flat --goals categories --categories chair,bed --out out/search
   gn0 missions generate out/flat --agent navid --out out/turns-of-30
   gn0 missions generate out/flat --people 5 --agent follower --out out/crowd
+  gn0 missions generate out/house --types follow --per-scene 40 --workers 2 --out out/follow
+  gn0 missions generate out/house --types follow --levels single --out out/alone
   gn0 missions generate out/flat --spec measures.yaml --out out/strict"""
 
 
@@ -36,6 +39,7 @@ def _optional(metavar: str) -> Any:
 
 
 _Int, _Float = _optional("INT"), _optional("FLOAT")
+FOLLOW_LENGTH = 8.0  # m: the person walks at least 6 m, up to 2 m ahead of the agent
 OWN = ("per_scene", "goals", "starts", "planner", "minimum_length", "maximum_length", "attempts",
        "goal_picture", "lights", "val_seen", "language", "phrasings", "safety_margin",
        "reach")  # fmt: skip
@@ -49,7 +53,9 @@ class Args(Config, frozen=True):
         out: the folder to write: a suite, with paths, texts and manifest.
         seed: root seed; the same seed gives the same bytes.
         per_scene: paths per scene (50).
-        missions: goal, instruction, or both with a comma between (both).
+        missions: goal, instruction, follow, with a comma between (goal,instruction).
+        levels: who else is there in follow missions: single, distractors, ambiguous, with a comma
+            between (all three).
         styles: styles of instructions: detailed, benchmark, or both (both).
         goals: objects, rooms, or both (both); or categories, of which any object will do: "Find a
             chair."
@@ -57,7 +63,7 @@ class Args(Config, frozen=True):
         starts: how starts are drawn (zones): in zones where paths are sparse, far from earlier
             starts, evenly (uniform), or auto.
         planner: any-angle, or astar with lines of sight (any-angle).
-        minimum_length: refuse shorter paths [m] (3).
+        minimum_length: refuse shorter paths [m] (3; 8 where all that is made is follow missions).
         maximum_length: refuse longer paths [m] (200).
         minimum_displacement: refuse paths that end nearer to where they began [m] (1).
         start_radius: compare only paths whose starts are this close [m] (1).
@@ -81,7 +87,8 @@ class Args(Config, frozen=True):
         spec: a YAML or JSON file of settings, with the keys of request.settings in manifest.json.
         agent: name of a preset whose body walks: navid for turns of 30°; its camera too, unless
             --camera names another.
-        camera: name of a camera preset (gn_bench); its body too, unless --agent names another.
+        camera: name of a camera preset (gn_bench; follower where all that is made is follow
+            missions); its body too, unless --agent names another.
         name: name of the suite; by default the folder's name.
         workers: processes.
         executor: processes on this machine, or a Ray cluster.
@@ -95,7 +102,10 @@ class Args(Config, frozen=True):
     out: str
     seed: int = 0
     per_scene: Annotated[int | None, _Int] = None
-    missions: Annotated[str, _optional("KINDS")] = ""
+    missions: Annotated[
+        str, tyro.conf.arg(metavar="KINDS", help_behavior_hint="", aliases=("--types",))
+    ] = ""
+    levels: Annotated[str, _optional("LEVELS")] = ""
     styles: Annotated[str, _optional("STYLES")] = ""
     goals: Annotated[
         Literal["objects", "rooms", "both", "categories"] | None,
@@ -166,6 +176,11 @@ def read_settings(args: Args) -> MissionSettings:
         plain["people"] = {**plain.get("people", {"count": 0}), **given}
     if args.goals == "categories" and not args.missions and not args.spec:
         plain["missions"] = ["goal"]  # a search has no route to tell
+    if args.levels:
+        levels = [word.strip() for word in args.levels.split(",")]
+        plain["follow"] = {**plain.get("follow", {}), "levels": levels}
+    if plain["missions"] == ["follow"] and args.minimum_length is None and not args.spec:
+        plain["minimum_length"] = FOLLOW_LENGTH
     try:
         return msgspec.convert(plain, MissionSettings)
     except msgspec.ValidationError as error:
@@ -248,6 +263,12 @@ def tell(manifest: Manifest, out: Path) -> list[str]:
         + (", ".join(f"{n} {why}" for why, n in t.targets_fell.items()) or "none"),
         "texts: " + ", ".join(f"{n} {name}" for name, n in t.texts.items()),
     ]
+    if t.follow_candidates:
+        fell = sorted(t.follow_fell.items(), key=lambda item: -item[1])
+        lines.append(
+            f"people to follow: {t.follow_candidates} drawn; rejected: "
+            + (", ".join(f"{n} {name}" for name, n in fell) or "none")
+        )
     if t.fallbacks:
         reasons = sorted(t.fallbacks.items(), key=lambda item: -item[1])
         shown = "; ".join(f"{n}× {why[:100]}" for why, n in reasons[:3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from itertools import chain
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 
@@ -14,7 +14,7 @@ from gn0.geometry import Pose2D
 from gn0.maps.goal_places import GoalSet
 from gn0.missions.people import check_people_of
 from gn0.paper import BODY_RADIUS, EYE_HEIGHT, FORWARD_STEP, TURN_DEGREES
-from gn0.people.person import EpisodePerson
+from gn0.people.person import PEOPLE_MOST, EpisodePerson
 from gn0.render.light import LightCondition
 
 
@@ -83,12 +83,67 @@ class MissionInstruction(msgspec.Struct, frozen=True, kw_only=True, tag="instruc
     style: str = ""
 
 
+FollowCategory = Literal["", "cruise", "turn", "stop-and-go"]
+FollowLevel = Literal["", "single", "distractors", "ambiguous"]
+
+
 class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
-    """Follow a moving person; goal is where the person ends (x, y) [m]."""
+    """Follow a moving person; STOP stands still for one action and ends nothing.
+
+    Files of before these had more than three fields leave the others as they are by default.
+
+    Attributes:
+        goal: where the person ends (x, y) [m].
+        instruction: whom to follow, in words.
+        human: the person's identity.
+        person: its number among the episode's people; 0 when not told.
+        category: how it walks; "" when not told.
+        level: who else is there: nobody, others who look different, others who differ in one
+            word; "" when not told.
+        distance: that the agent should keep [m]; 0 when not told.
+        lateral: how far to the person's right it should keep [m].
+        seconds: when the person arrives, if nobody holds it up [s].
+        actions: those of the reference track of the agent, a digit each, to the episode's end.
+
+    Raises:
+        EpisodeError: a value that has no meaning.
+    """
 
     goal: tuple[float, float]
     instruction: str
     human: str
+    person: int = 0
+    category: FollowCategory = ""
+    level: FollowLevel = ""
+    distance: float = 0.0
+    lateral: float = 0.0
+    seconds: float = 0.0
+    actions: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.person <= PEOPLE_MOST:
+            raise _follow_fault("person", self.person, f"a number up to {PEOPLE_MOST}")
+        for name, most in (("distance", 10.0), ("seconds", 3600.0)):
+            if not 0 <= getattr(self, name) <= most:
+                raise _follow_fault(name, getattr(self, name), f"0 to {most:g}")
+        if not -5 <= self.lateral <= 5:
+            raise _follow_fault("lateral", self.lateral, "-5 to 5 m")
+        for name, known in (("category", FollowCategory), ("level", FollowLevel)):
+            if getattr(self, name) not in get_args(known):
+                raise _follow_fault(name, getattr(self, name), ", ".join(get_args(known)[1:]))
+        if len(self.actions) > 10_000 or not set(self.actions) <= set("0123"):
+            raise _follow_fault("actions", self.actions, "digits 0 to 3, an action each")
+
+    @property
+    def reference_actions(self) -> tuple[int, ...]:
+        """Codes of the reference's actions."""
+        return tuple(map(int, self.actions))
+
+
+def _follow_fault(field: str, value: object, give: str) -> EpisodeError:
+    return EpisodeError(
+        f"{field} is {brief(value)}", where=f"follow mission, {field}", remedy=f"give {give}"
+    )
 
 
 INSIDE = sys.float_info.min  # m: less than this is 0
@@ -269,6 +324,12 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
         return Pose2D(*self.start)
 
     @property
+    def followed(self) -> EpisodePerson | None:
+        """The person whom the mission is to follow; None of other missions, and when not told."""
+        number = self.mission.person if isinstance(self.mission, MissionFollow) else 0
+        return next((p for p in self.people if p.number == number), None)
+
+    @property
     def goal(self) -> tuple[float, float]:
         """Goal (x, y) [m] of the mission."""
         return self.mission.goal
@@ -303,4 +364,11 @@ def check_episode(episode: Episode) -> Episode:
         raise EpisodeError("id is not a plain name", where=where, remedy="letters, digits, - and _")
     if episode.people:
         check_people_of(episode.people, episode.start[:2], episode.agent.radius, where)
+    mission = episode.mission
+    if isinstance(mission, MissionFollow) and mission.person and episode.followed is None:
+        raise EpisodeError(
+            f"person {mission.person} is to be followed, and is not there",
+            where=f"{where}, mission, person",
+            remedy="give the number of one of the episode's people",
+        )
     return episode

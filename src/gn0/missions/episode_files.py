@@ -103,6 +103,7 @@ RARE_COLUMNS: tuple[tuple[str, pa.DataType, str | float], ...] = (
     ("tier", _TEXT, ""),
     ("agent_step_seconds", _REAL, STEP_SECONDS),
     ("people", _TEXT, ""),  # JSON of a list of EpisodePerson; "" where there is nobody
+    ("follow", _TEXT, ""),  # JSON of what more is known of a mission to follow somebody
 )
 
 
@@ -173,6 +174,8 @@ def save_episodes(
         used.append("agent_step_seconds")
     if any(episode.people for episode in episodes):
         used.append("people")
+    if any(_encode_follow(episode.mission) for episode in episodes):
+        used.append("follow")
     schema = _schema(used)
     rows: dict[str, list[Any]] = {name: [] for name in schema.names}
     for episode in episodes:
@@ -277,6 +280,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "tier": episode.tier,
         "agent_step_seconds": agent.step_seconds,
         "people": encode_people(episode.people),
+        "follow": _encode_follow(mission),
     }
 
 
@@ -446,7 +450,8 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
             style=cells["style"],
         )
     elif kind == "follow":
-        mission = MissionFollow(goal=goal, instruction=text, human=cells["human"])
+        more = _decode_follow(cells["follow"])
+        mission = MissionFollow(goal=goal, instruction=text, human=cells["human"], **more)
     else:
         raise EpisodeError(
             f"mission {kind!r} is unknown",
@@ -514,6 +519,37 @@ def _light(text: str) -> LightCondition | None:
             where="column 'light'",
             remedy="leave it empty, or write the JSON of one",
         ) from None
+
+
+_FOLLOW = ("person", "category", "level", "distance", "lateral", "seconds", "actions")
+_FOLLOW_PLAIN = MissionFollow(goal=(0.0, 0.0), instruction="", human="")
+
+
+def _encode_follow(mission: Mission) -> str:
+    """What is known of a mission to follow somebody beside whom, as JSON; "" nothing."""
+    if not isinstance(mission, MissionFollow):
+        return ""
+    known = {name: getattr(mission, name) for name in _FOLLOW}
+    told = {k: v for k, v in known.items() if v != getattr(_FOLLOW_PLAIN, k)}
+    return msgspec.json.encode(told).decode() if told else ""
+
+
+def _decode_follow(text: str) -> dict[str, Any]:
+    if not text:
+        return {}
+    try:
+        told = msgspec.json.decode(text, type=dict[str, Any])
+        if not set(told) <= set(_FOLLOW):
+            raise msgspec.ValidationError(f"unknown {sorted(set(told) - set(_FOLLOW))[0]!r:.40}")
+        plain = {"goal": (0.0, 0.0), "instruction": "", "human": "", "type": "follow"}
+        found = msgspec.convert({**plain, **told}, MissionFollow)
+    except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
+        raise EpisodeError(
+            f"follow is not about a mission to follow somebody: {error}",
+            where="column 'follow'",
+            remedy=f"leave it empty, or write JSON with {', '.join(_FOLLOW)}",
+        ) from None
+    return {name: getattr(found, name) for name in told}
 
 
 def _encoded(picture: GoalPicture | None) -> str:
@@ -616,5 +652,5 @@ _LATER = ("path_id", "light", "path_source", "goal_set", "tier", "people")
 _LATER_OF_MISSION: dict[str, tuple[str, ...]] = {
     "goal": ("picture",),
     "instruction": ("object_id", "category", "style"),
-    "follow": (),
+    "follow": _FOLLOW,
 }

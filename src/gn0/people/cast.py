@@ -18,13 +18,13 @@ import msgspec
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
 from gn0.avatars.detail import SHARES, build_levels
-from gn0.avatars.identity import draw_identity
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
 from gn0.avatars.person import build_person
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import pose_joints
 from gn0.errors import EpisodeError, Gn0Error
+from gn0.people.identities import find_identity
 from gn0.people.person import EpisodePerson, drawn_identity
 from gn0.storage import cache_dir, content_hash
 from gn0.version import source_version
@@ -84,9 +84,13 @@ class Cast:
             EpisodeError: a name that the bank does not have, or a bank of another hash.
         """
         for person in people:
-            if drawn_identity(person.identity) is not None:
-                continue
             place = f"{where}, person {person.number}, identity".lstrip(", ")
+            if drawn_identity(person.identity) is not None:
+                try:
+                    find_identity(person.identity)
+                except EpisodeError as error:
+                    raise EpisodeError(error.what, where=place, remedy=error.remedy) from None
+                continue
             if self.bank is None:
                 raise EpisodeError(
                     f"{person.identity!r} is of a bank of people, and none was given",
@@ -116,11 +120,10 @@ class Cast:
         """
         actor = self._known.get(identity)
         if actor is None:
-            drawn = drawn_identity(identity)
-            if drawn is not None:
-                record = msgspec.json.encode(draw_identity(*drawn))
-                key = content_hash("drawn person", record, _made_by())
-                levels = _keep(key, lambda: build_person(draw_identity(*drawn)))
+            if drawn_identity(identity) is not None:
+                who = find_identity(identity)
+                key = content_hash("drawn person", msgspec.json.encode(who), _made_by())
+                levels = _keep(key, lambda: build_person(who))
             else:
                 self.check((EpisodePerson(number=1, identity=identity, path=((0, 0), (1, 0))),))
                 assert self.bank is not None

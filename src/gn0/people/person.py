@@ -22,7 +22,7 @@ WALL_DISTANCE = 0.30  # m, of a person's centre from walls
 SPEEDS = (0.4, 1.6)  # m/s
 _POINTS_MOST, _STOPS_MOST = 4096, 64
 _LONGEST_STOP = 3600.0  # s
-_DRAWN = re.compile(r"drawn:(\d{1,10}):(\d{1,6})")
+_DRAWN = re.compile(r"drawn:(\d{1,10}):(\d{1,6})(?::([a-z_]{1,20}):(\d{1,10}))?")
 
 Behaviour = Literal["script", "stand", "sit"]
 """`script`: walks a path; `stand`: stands at a spot; `sit`: sits there."""
@@ -54,7 +54,8 @@ class EpisodePerson(
     Attributes:
         number: 1 to 16, its own in the episode, as pictures of who is who have it.
         identity: a person of the bank by name ("p0007"), or "drawn:SEED:NUMBER", see
-            `gn0.avatars.identity.draw_identity`.
+            `gn0.avatars.identity.draw_identity`; "drawn:SEED:NUMBER:KEY:CHANGE" is another person
+            of the same words but one, see `gn0.people.identities`.
         path: where it walks [(x, y) m]; of who stands or sits, the one spot.
         behaviour: "script" walks the path, "stand" and "sit" stay.
         clips: set of clips that it moves by; "default" is `gn0.avatars.motion.library`.
@@ -96,7 +97,8 @@ class EpisodePerson(
         if not self.identity or len(self.identity) > 120:
             raise _fault(where, "identity", "names nobody", "a person of a bank, or drawn:0:7")
         if self.identity.startswith("drawn:") and drawn_identity(self.identity) is None:
-            raise _fault(where, "identity", f"is {brief(self.identity)}", "drawn:SEED:NUMBER")
+            give = "drawn:SEED:NUMBER, or drawn:SEED:NUMBER:KEY:CHANGE"
+            raise _fault(where, "identity", f"is {brief(self.identity)}", give)
         if self.clips != "default":
             raise _fault(where, "clips", f"has no set {brief(self.clips)}", "default")
         if self.behaviour not in get_args(Behaviour):
@@ -163,9 +165,15 @@ class EpisodePerson(
 
 
 def drawn_identity(identity: str) -> tuple[int, int] | None:
-    """(seed, number) of "drawn:SEED:NUMBER"; None of a bank's names."""
+    """(seed, number) of "drawn:SEED:NUMBER", changed or not; None of a bank's names."""
     found = _DRAWN.fullmatch(identity)
     return None if found is None else (int(found[1]), int(found[2]))
+
+
+def drawn_change(identity: str) -> tuple[str, int] | None:
+    """(key, seed) of the one word that "drawn:SEED:NUMBER:KEY:CHANGE" changes; None of others."""
+    found = _DRAWN.fullmatch(identity)
+    return None if found is None or found[3] is None else (found[3], int(found[4]))
 
 
 def check_people(people: Sequence[EpisodePerson]) -> None:

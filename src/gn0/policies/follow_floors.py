@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from gn0.data.expert_labels import plan_from
+from gn0.data.follow_oracle import FOLLOWER
 from gn0.errors import PlanError
 from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
-from gn0.policies.follow_oracle import FOLLOWER
 from gn0.policies.simple import PolicyStraight
 from gn0.sim.state import Action, Observation
 

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, SimError
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
-from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
+from gn0.missions.episode import (
+    AgentSpec,
+    Episode,
+    GoalPicture,
+    MissionFollow,
+    MissionGoal,
+    check_episode,
+)
 from gn0.people.person import PEOPLE_MOST
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
@@ -288,7 +295,8 @@ class Simulator:
         collision); a teleport takes its yaw, a displacement its turn in any case. They take the
         steps of `gn0.sim.kinematics.Journey`, and end where the episode's steps do; cut, they are
         one collision. Each of those steps lasts as long as an action. STOP ends the episode
-        (`terminated`); reaching `max_steps` without STOP truncates it.
+        (`terminated`), but where a person is to be followed: there it stands still for one action.
+        Reaching `max_steps` without an end truncates it.
 
         With people, a move stops at the tick before it would touch one: `collided`, and
         `info["hit_person"]` is a `gn0.sim.people.PersonHit`, else None.
@@ -330,7 +338,7 @@ class Simulator:
             else:
                 company.wait(x, y, ticks)
                 if code == 0:
-                    stop = True
+                    stop = not isinstance(self.episode.mission, MissionFollow)
                 else:
                     self._turn(1 if code == 2 else -1)
         steps = 1 if self.one_step_moves else spent

@@ -5,6 +5,7 @@ The output is a suite folder with three more files:
     manifest.json           what was asked, how many candidates fell at which filter, hashes
     paths.parquet           the path pool: a row a path
     instructions.parquet    every text of every path
+    tracks.parquet          only with people to follow: who was where when
 
 The unit of work is a scene. A worker fills a folder of its own under `.work/` and renames it when
 it is whole: what is there is done. The parent puts the parts together and removes `.work/`.
@@ -26,18 +27,27 @@ from gn0.config import load_json
 from gn0.errors import EpisodeError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import AgentSpec
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.episode_files import fill_rare_columns, read_table, save_episodes
+from gn0.missions.generate.follow_settings import FOLLOW_REASONS
+from gn0.missions.generate.follow_tracks import TRACKS, FollowTrackRow, tracks_table
 from gn0.missions.generate.judge import REASONS
 from gn0.missions.generate.path_missions import build_missions, count_missions
-from gn0.missions.generate.path_pool import load_paths, paths_table, save_table, texts_table
-from gn0.missions.generate.scene_paths import SceneReport, generate_paths
+from gn0.missions.generate.path_pool import (
+    PathText,
+    load_paths,
+    paths_table,
+    save_table,
+    texts_table,
+)
+from gn0.missions.generate.scene_paths import ScenePaths, SceneReport, generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import count_texts, write_path_texts
 from gn0.missions.language.providers import open_provider
 from gn0.paper import MAX_STEPS
 from gn0.people.plan import add_people
 from gn0.progress import Progress, no_progress
+from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.storage import (
     TEMPORARY_PREFIX,
@@ -55,7 +65,6 @@ from gn0.suites.generation_folder import (
     PARTS,
     PATHS,
     REPORT,
-    TABLES,
     TEXTS,
     GenerationRequest,
     Manifest,
@@ -63,6 +72,7 @@ from gn0.suites.generation_folder import (
     Totals,
     clear_folder,
     find_finished,
+    list_tables,
     open_work,
 )
 from gn0.suites.scene_list import SceneEntry, list_scenes
@@ -86,6 +96,15 @@ _DECIDING = (
     "geometry.py", "paper.py", "seeds.py", "maps", "missions", "people", "avatars/identity.py",
     "render/light.py", "sim/presets.py", "suites/generation.py", "suites/generation_folder.py",
 )  # fmt: skip
+_DECIDING_FOLLOW = (
+    "avatars/likeness.py", "avatars/wardrobe.py",
+    "data/expert_labels.py", "data/follow.py", "data/follow_missions.py", "data/follow_oracle.py",
+    "data/follow_reference.py", "sim/collision.py", "sim/kinematics.py", "sim/people.py",
+    "sim/simulator.py", "sim/ticks.py",
+)  # fmt: skip
+# units of work by what is made; data is a floor above, and known by name as plug-ins are
+_UNIT = "gn0.suites.generation:generate_scene"
+_FOLLOW_UNIT = "gn0.data.follow_missions:generate_scene"
 
 
 class Workforce(NamedTuple):
@@ -125,7 +144,7 @@ def generate_missions(
         split: split of scenes whose folder does not say it.
         name: name of the suite; by default the folder's name.
         camera: camera preset by name, which decides the body too; "" means the agent's own, else
-            gn_bench.
+            gn_bench, or follower where people are followed and nothing else is done.
         agent: preset by name whose body walks; "" means the camera's.
         against: earlier generations (or suites) whose paths are not to come again.
         language_options: for the language provider.
@@ -147,7 +166,8 @@ def generate_missions(
     options = dict(language_options or {})
     open_provider(settings.language, **options)  # a wrong option is told before the work begins
     earlier = load_earlier(against, {entry.id: entry.hash for entry in entries})
-    camera = camera or agent or "gn_bench"
+    only_follow = settings.missions == ("follow",)
+    camera = camera or agent or ("follower" if only_follow else "gn_bench")
     body = find_preset(agent or camera).agent
     request = _describe(entries, out, settings, seed, name, camera, body, options, earlier)
     if overwrite:
@@ -174,7 +194,7 @@ def _describe(
 ) -> GenerationRequest:
     return GenerationRequest(
         layout=LAYOUT,
-        software=f"gn0 {source_version(_DECIDING)}",
+        software=f"gn0 {source_version(_deciding(settings))}",
         name=name or out.resolve().name,
         seed=int(seed),
         camera=camera,
@@ -190,6 +210,10 @@ def _describe(
         ),
         earlier=earlier.digest,
     )
+
+
+def _deciding(settings: MissionSettings) -> tuple[str, ...]:
+    return _DECIDING + _DECIDING_FOLLOW if "follow" in settings.missions else _DECIDING
 
 
 # options of a language provider that decide its texts, and are no secrets
@@ -231,7 +255,7 @@ def _run_units(
     ]
     done = len(entries) - len(todo)
     run_jobs(
-        "gn0.suites.generation:generate_scene",
+        _FOLLOW_UNIT if "follow" in settings.missions else _UNIT,
         payloads,
         workers=where.workers,
         executor=where.executor,
@@ -243,12 +267,46 @@ def _run_units(
     )
 
 
+class ScenePart(msgspec.Struct, frozen=True):
+    """All that is made of a scene: a part of the suite to be.
+
+    Attributes:
+        request: what was asked.
+        scene: the scene.
+        navigation: its map for the agent.
+        paths: its paths.
+        texts: what is told of them.
+        episodes: their missions.
+        report: the count.
+        tracks: of its follow missions.
+    """
+
+    request: GenerationRequest
+    scene: Scene
+    navigation: NavigationMap
+    paths: ScenePaths
+    texts: Sequence[PathText]
+    episodes: Sequence[Episode]
+    report: SceneReport
+    tracks: tuple[FollowTrackRow, ...] = ()
+
+
 def generate_scene(payload: dict[str, Any], progress: Progress = no_progress) -> dict[str, Any]:
     """One unit of work: a scene's paths, texts and episodes in a folder of their own.
 
     Raises:
         BenchError: the scene changed under the generation.
         StorageError, FormatError, SceneError: it cannot be read, or the part not written.
+    """
+    return save_part(payload["out"], build_part(payload, progress))
+
+
+def build_part(payload: dict[str, Any], progress: Progress = no_progress) -> ScenePart:
+    """A scene's paths, with the missions to go somewhere.
+
+    Raises:
+        BenchError: the scene changed under the generation.
+        StorageError, FormatError, SceneError: it cannot be read.
     """
     request = msgspec.convert(payload["request"], GenerationRequest)
     settings, agent = request.settings, request.agent
@@ -265,11 +323,14 @@ def generate_scene(payload: dict[str, Any], progress: Progress = no_progress) ->
         earlier=[record.array for record in known],
         progress=progress,
     )
-    provider = open_provider(settings.language, **payload["options"])
-    texts, fallbacks = write_path_texts(
-        scene, navigation, paths, settings, provider, request.seed, eye=agent.camera_height,
-        progress=progress,
-    )  # fmt: skip
+    texts: list[PathText] = []
+    fallbacks: dict[str, int] = {}
+    if settings.missions != ("follow",):
+        provider = open_provider(settings.language, **payload["options"])
+        texts, fallbacks = write_path_texts(
+            scene, navigation, paths, settings, provider, request.seed, eye=agent.camera_height,
+            progress=progress,
+        )  # fmt: skip
     episodes = build_missions(
         scene,
         navigation,
@@ -283,17 +344,27 @@ def generate_scene(payload: dict[str, Any], progress: Progress = no_progress) ->
     )
     if settings.people:
         episodes = add_people(scene, episodes, settings.people, progress=progress)
+    report = msgspec.structs.replace(paths.report, fallbacks=fallbacks)
+    return ScenePart(request, scene, navigation, paths, texts, episodes, report)
+
+
+def save_part(out: Path | str, part: ScenePart) -> dict[str, Any]:
+    """Write a part into a folder of its own, whole or not at all.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    scene = part.scene
     report = msgspec.structs.replace(
-        paths.report,
-        episodes=count_missions(episodes),
-        texts=count_texts(texts),
-        fallbacks=fallbacks,
+        part.report, episodes=count_missions(part.episodes), texts=count_texts(part.texts)
     )
-    with folder_atomic(payload["out"]) as part:
-        save_episodes(part / EPISODE_FILE, episodes, {scene.id: scene.grid})
-        save_table(part / PATHS, paths_table(paths.records))
-        save_table(part / TEXTS, texts_table(texts))
-        write_json(part / REPORT, msgspec.to_builtins(report))
+    with folder_atomic(out) as folder:
+        save_episodes(folder / EPISODE_FILE, part.episodes, {scene.id: scene.grid})
+        save_table(folder / PATHS, paths_table(part.paths.records))
+        save_table(folder / TEXTS, texts_table(part.texts))
+        if "follow" in part.request.settings.missions:
+            save_table(folder / TRACKS, tracks_table(part.tracks))
+        write_json(folder / REPORT, msgspec.to_builtins(report))
     return {"scene": scene.id, "paths": report.paths}
 
 
@@ -316,11 +387,21 @@ def _put_together(
             remedy="lower --minimum-length, raise --attempts, name other --categories, or see "
             "`gn0 scene check`",
         )
-    used = [(e, p) for e, p, r in zip(entries, parts, reports, strict=True) if r.paths]
+    if not any(report.episodes for report in reports):
+        shutil.rmtree(work, ignore_errors=True)
+        raise EpisodeError(
+            f"nobody can be followed along any of {sum(r.paths for r in reports)} paths in "
+            f"{len(entries)} scenes: {_why_nobody(reports)}",
+            where=out,
+            remedy="ask for more paths, longer ones, or other --levels; a body of 0.5 m/s follows "
+            "nobody faster than 0.4 m/s: try --agent follower",
+        )
+    used = [(e, p) for e, p, r in zip(entries, parts, reports, strict=True) if r.episodes]
     for number, (entry, _) in enumerate(used):
         progress("laying out scenes", number, len(used))
         _link_scene(entry, out / SCENE_FOLDER)
-    for table in TABLES:
+    tables = list_tables(request.settings)
+    for table in tables:
         _join_tables(out / table, [part / table for _, part in used])
     episodes = read_table(out / EPISODE_FILE)
     splits = Counter(episodes.column("split").to_pylist())
@@ -343,10 +424,10 @@ def _put_together(
         request=request,
         totals=_add_up(reports, splits),
         scenes=tuple(reports),
-        reasons=REASONS,
+        reasons={**REASONS, **(FOLLOW_REASONS if TRACKS in tables else {})},
         notes=tuple(_notes(reports, earlier)),
         suite=suite.hash,
-        files={name: content_hash(read_bytes(out / name)) for name in TABLES},
+        files={name: content_hash(read_bytes(out / name)) for name in tables},
     )
     write_json(out / MANIFEST, msgspec.to_builtins(manifest))
     progress("laying out scenes", len(used), len(used))
@@ -400,6 +481,8 @@ def _add_up(reports: Sequence[SceneReport], splits: Mapping[str, int]) -> Totals
         splits=dict(sorted(splits.items())),
         texts=sums("texts"),
         fallbacks=sums("fallbacks"),
+        follow_candidates=sum(r.follow_candidates for r in reports),
+        follow_fell=sums("follow_fell"),
     )
 
 
@@ -422,3 +505,10 @@ def _why_none(reports: Sequence[SceneReport]) -> str:
     told = ", ".join(f"{n} {name}" for name, n in fell.most_common(4))
     notes = "; ".join(sorted({report.note for report in reports if report.note})[:2])
     return told or notes or "there are no targets"
+
+
+def _why_nobody(reports: Sequence[SceneReport]) -> str:
+    fell: Counter[str] = Counter()
+    for report in reports:
+        fell.update(report.follow_fell)
+    return ", ".join(f"{n} {name}" for name, n in fell.most_common(4)) or "nobody was drawn"

@@ -19,6 +19,7 @@ from gn0.config import Config, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.locked_folder import lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
+from gn0.missions.generate.follow_tracks import TRACKS
 from gn0.missions.generate.scene_paths import SceneReport
 from gn0.missions.generate.settings import MissionSettings
 from gn0.storage import check_contained, storage_error, write_json
@@ -28,6 +29,11 @@ MANIFEST, PATHS, TEXTS = "manifest.json", "paths.parquet", "instructions.parquet
 WORK, REQUEST, PARTS, REPORT = ".work", "request.json", "parts", "report.json"
 LAYOUT = 1
 TABLES = (EPISODE_FILE, PATHS, TEXTS)
+
+
+def list_tables(settings: MissionSettings) -> tuple[str, ...]:
+    """The tables of a generation by name; tracks only where people are followed."""
+    return (*TABLES, TRACKS) if "follow" in settings.missions else TABLES
 
 
 class RequestScene(Config, frozen=True):
@@ -104,6 +110,8 @@ class Totals(Config, frozen=True):
     splits: dict[str, int]
     texts: dict[str, int]
     fallbacks: dict[str, int]
+    follow_candidates: int = 0
+    follow_fell: dict[str, int] = {}  # noqa: RUF012 (msgspec copies it)
 
 
 def clear_folder(out: Path, request: GenerationRequest) -> None:

@@ -76,10 +76,19 @@ def looks_different(person: Record, other: Record, sight: Sight) -> bool:
 def change_people(
     person: Record, count: int, seed: int, *, sight: Sight | None = None
 ) -> list[tuple[str, Identity]]:
-    """People who share all of a person's words but one, each with the word that is another.
+    """The same as `choose_changes`, without the seeds."""
+    found = choose_changes(person, count, seed, sight=sight)
+    return [(key, other) for key, _, other in found]
 
-    They have faces and builds of their own. Words that change take turns in a seeded order, so
-    that a sentence has to say more than one thing where there are several people.
+
+def choose_changes(
+    person: Record, count: int, seed: int, *, sight: Sight | None = None
+) -> list[tuple[str, int, Identity]]:
+    """People who share all of a person's words but one.
+
+    Each comes with the key of that word, and the seed by which `change_record` makes it. They have
+    faces and builds of their own. Words that change take turns in a seeded order, so that a
+    sentence has to say more than one thing where there are several people.
 
     Args:
         person: the record of who is followed.
@@ -99,22 +108,23 @@ def change_people(
     stream = random_stream(
         seed, "others", "ambiguous", *(f"{k}={person[k]}" for k in sorted(person))
     )
-    found: list[tuple[str, Identity]] = []
+    found: list[tuple[str, int, Identity]] = []
     usable = [CHANGES[int(k)] for k in stream.permutation(len(CHANGES))]
     tries = 0
     while usable and len(found) < count:
         key = usable[tries % len(usable)]
         tries += 1
         try:
-            other = change_record(person, key, int(stream.integers(2**31)), sight)
+            change = int(stream.integers(2**31))
+            other = change_record(person, key, change, sight)
         except DataError:
             usable.remove(key)
             continue
-        if any(not words_apart(other.words(), done.words(), sight) for _, done in found):
+        if any(not words_apart(other.words(), done.words(), sight) for _, _, done in found):
             if tries > 12 * count:
                 usable.remove(key)
             continue
-        found.append((key, other))
+        found.append((key, change, other))
     if len(found) < count:
         raise ConfigError(
             f"only {len(found)} of {count} people differ from this one in a single word",

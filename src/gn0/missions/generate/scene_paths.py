@@ -60,6 +60,8 @@ class SceneReport(Config, frozen=True):
         texts: how many of each style by each provider.
         fallbacks: why a text was not taken, and how often.
         note: what else a reader should know.
+        follow_candidates: people drawn to be followed.
+        follow_fell: for which reason how many of those fell.
     """
 
     scene: str
@@ -86,6 +88,8 @@ class SceneReport(Config, frozen=True):
     goal_sets: int = 0
     areas: int = 0
     from_above: int = 0
+    follow_candidates: int = 0
+    follow_fell: dict[str, int] = {}  # noqa: RUF012
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ import msgspec
 
 from gn0.config import Config
 from gn0.errors import ConfigError, FormatError
+from gn0.missions.generate.follow_settings import FollowSettings
 from gn0.missions.similarity import SimilaritySettings
 from gn0.people.settings import PeopleSettings
 from gn0.yaml_file import load_yaml
@@ -22,7 +23,7 @@ GoalKinds = Literal["objects", "rooms", "both", "categories"]
 StartMode = Literal["auto", "zones", "far", "uniform"]
 Planner = Literal["any-angle", "astar"]
 PictureKind = Literal["mixed", "view", "crop"]
-MissionKind = Literal["goal", "instruction"]
+MissionKind = Literal["goal", "instruction", "follow"]
 RouteStyle = Literal["detailed", "benchmark"]
 Phrasings = Literal["by_split", "known", "held_out"]
 
@@ -61,6 +62,7 @@ class MissionSettings(Config, frozen=True):
         phrasings: turns of phrase of the grammar: those kept for unseen splits in these and the
             others elsewhere, or the same everywhere. Paths are the same with any.
         people: who else is in the episodes; the missions of one path share them. Nobody when unset.
+        follow: which people are followed, and how; as by default when not there.
     """
 
     per_scene: Count = 50
@@ -87,10 +89,16 @@ class MissionSettings(Config, frozen=True):
     language: str = "template"
     phrasings: Phrasings = "by_split"
     people: PeopleSettings | msgspec.UnsetType = msgspec.UNSET
+    follow: FollowSettings | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def following(self) -> FollowSettings:
+        """Numbers of follow missions."""
+        return self.follow or FollowSettings()
 
     def __post_init__(self) -> None:
         if not self.missions or len(set(self.missions)) != len(self.missions):
-            raise ConfigError("no missions, or one named twice", remedy="goal, instruction or both")
+            raise ConfigError("no missions, or one named twice", remedy="goal, instruction, follow")
         if "instruction" in self.missions and not self.styles:
             raise ConfigError("instruction missions without a style", remedy="detailed, benchmark")
         if self.goals == "categories" and "instruction" in self.missions:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 
 OTHERS_LOST = (
     "goal of several places, of which the file names the nearest one: who stops at another has "
@@ -11,6 +11,10 @@ OTHERS_LOST = (
 AREA_LOST = (
     "goal that is the inside of a room, which the file names by one place: who stops near it has "
     "arrived there, and who stops elsewhere in the room has not"
+)
+FOLLOW_LOST = (
+    "person to follow, who is in none of the file: its words speak of somebody, its path is the "
+    "reference's, and its goal is where the person would end"
 )
 
 
@@ -21,6 +25,8 @@ def find_lost(episode: Episode, *, several: bool) -> dict[str, int]:
         episode: with its goal set.
         several: whether the format takes several places.
     """
+    if isinstance(episode.mission, MissionFollow):
+        return {FOLLOW_LOST: 1}
     if episode.in_area:
         return {AREA_LOST: 1}
     return {} if several or len(episode.goals) == 1 else {OTHERS_LOST: 1}

@@ -26,11 +26,12 @@ from gn0.missions.coordinate_frames import (
     world_to_habitat,
     yaw_from_habitat,
 )
-from gn0.missions.episode import Episode, check_episode
+from gn0.missions.episode import Episode, MissionFollow, check_episode
 from gn0.missions.episode_files import check_unique
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import GZIP_MAGIC, load_exact, save_exact
 from gn0.missions.sets.vocabulary import PAD_INDEX, UNKNOWN_INDEX, cut_words, own_words
+from gn0.paper import FORWARD, STOP
 
 TOKENS = 200  # an instruction is padded with zeros to this length
 GOAL_RADIUS = 3.0  # m
@@ -171,9 +172,10 @@ class ExporterVlnce:
         name: str,
         words: Sequence[str] = (),
     ) -> EpisodeSet:
-        """A document of our episodes with a vocabulary, by default of their words; no ground truth.
+        """A document of our episodes with a vocabulary, by default of their words.
 
-        `info.geodesic_distance` is the length of the reference path. Floors are at height 0.
+        `info.geodesic_distance` is the length of the reference path. Floors are at height 0. There
+        is no ground truth but of missions to follow somebody: their reference's, without waits.
 
         Raises:
             EpisodeError: an episode makes no sense.
@@ -200,7 +202,12 @@ class ExporterVlnce:
             },
         }
         tasks = tuple(_task(r, number, Path(name)) for number, r in enumerate(records, 1))
-        return EpisodeSet(self.name, name, tasks, VlnceFile(document, None))
+        truth = {
+            str(number): _reference_truth(episode)
+            for number, episode in enumerate(episodes, 1)
+            if isinstance(episode.mission, MissionFollow) and episode.mission.actions
+        }
+        return EpisodeSet(self.name, name, tasks, VlnceFile(document, truth or None))
 
     def take(self, native: VlnceFile, rows: Sequence[int]) -> VlnceFile:
         """These episodes, their ground truth, and the rest of the document as it is."""
@@ -287,10 +294,25 @@ def _compare_truth(known: Mapping[str, _Truth], tasks: Sequence[Task]) -> list[s
     return notes
 
 
-def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:
-    def lift(x: float, y: float) -> list[float]:
-        return [float(v) for v in world_to_habitat([[x, y, 0.0]])[0] + 0.0]
+def _lift(x: float, y: float) -> list[float]:
+    return [float(v) for v in world_to_habitat([[x, y, 0.0]])[0] + 0.0]
 
+
+def _reference_truth(episode: Episode) -> dict[str, Any]:
+    """Where the reference of a mission to follow somebody went, and by which actions.
+
+    STOP ends an episode there, so that its waits are left out, and one stands at the end.
+    """
+    assert isinstance(episode.mission, MissionFollow)
+    moves = [code for code in episode.mission.reference_actions if code != STOP]
+    return {
+        "locations": [_lift(x, y) for x, y in episode.path],
+        "forward_steps": moves.count(FORWARD),
+        "actions": [*moves, STOP],
+    }
+
+
+def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:
     path = np.array(episode.path or (episode.start[:2], episode.goal), np.float64)
     if not math.isfinite(polyline_length(path)):
         raise EpisodeError("its path has no length", where=f"episode {episode.id!r}")
@@ -299,13 +321,13 @@ def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:
         "episode_id": number,
         "trajectory_id": number,
         "scene_id": f"gn0/{episode.scene_id}/{episode.scene_id}.glb",
-        "start_position": lift(*episode.start[:2]),
+        "start_position": _lift(*episode.start[:2]),
         "start_rotation": list(habitat_rotation(episode.start[2])),
         "info": {"geodesic_distance": float(polyline_length(path))},
-        "goals": [{"position": lift(*place), "radius": radius} for place in episode.goals],
+        "goals": [{"position": _lift(*place), "radius": radius} for place in episode.goals],
         "instruction": {
             "instruction_text": episode.instruction,
             "instruction_tokens": tokens + [0] * (TOKENS - len(tokens)),
         },
-        "reference_path": [lift(x, y) for x, y in episode.path],
+        "reference_path": [_lift(x, y) for x, y in episode.path],
     }

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gn0.data.follow import DesiredState, TargetTrack, desired_state, reference_state
+from gn0.data.follow_search import search_steps
 from gn0.errors import PlanError
 from gn0.geometry import Pose2D
 from gn0.maps.grid import OCCUPIED, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import AgentSpec
-from gn0.policies.follow_search import search_steps
 from gn0.sim.presets import find_preset
 from gn0.sim.state import Action
 

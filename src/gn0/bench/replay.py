@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gn0.bench.episode_worker import EpisodeWorker
+from gn0.bench.episode_worker import EpisodeWorker, carried_sensors
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace, aggregate, encode_line
@@ -203,6 +203,7 @@ def replay_run(
             episode.scene_id,
             home.scene_hash(episode.scene_id),
             episode.light,
+            carried_sensors(policy, episode),
         )
         policy.trace = data.traces[name]
         try:

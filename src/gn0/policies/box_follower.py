@@ -227,7 +227,7 @@ class PolicyBoxFollower:
     """
 
     name = "box_follower"
-    sensors: frozenset[str] = frozenset({"rgb", "people"})
+    sensors: frozenset[str] = frozenset({"rgb", "who"})
 
     def __init__(self, preset: str = "follower", distance: float = BoxGains.distance) -> None:
         self._preset = find_preset(preset)

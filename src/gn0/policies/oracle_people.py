@@ -1,0 +1,181 @@
+"""The oracle among people: behind the one whom it follows, and round those in its way to a goal.
+
+Both look one action ahead exactly, in a copy of what people do, and never take a step that somebody
+would cut short. So they touch nobody; what people can cost them is time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gn0.data.follow_oracle import MARGIN, FollowOracle, people_map
+from gn0.data.follow_reference import follow_task
+from gn0.errors import PlanError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.generate.follow_sight import sight_grid
+from gn0.sim.state import Action
+
+if TYPE_CHECKING:
+    from gn0.geometry import Pose2D
+    from gn0.maps.grid import OccupancyGrid
+    from gn0.scenes.scene import Scene
+    from gn0.sim.simulator import Simulator
+
+Place = tuple[float, float]
+Planner = Callable[[NavigationMap], list[Action]]
+
+STILL = 1.0  # s without moving, and somebody is stood round, not waited for
+AROUND = 4.0  # m: people beyond that are nobody to go round
+WAITS = 3  # times that it waits for somebody, two actions each, before it goes round
+DETOUR = 4.0  # s for which who was waited for in vain counts as standing
+CLOSE = 1.5  # m of walking left where it is enough to be, if somebody stands at the goal itself
+
+
+def meets_somebody(simulator: Simulator) -> bool:
+    """Whether a person would cut a FORWARD of now short."""
+    return bool(simulator.company) and simulator.foresee_forward() is not None
+
+
+class FollowingOracle:
+    """Follows the person of the episode in progress: `FollowOracle` with the real places.
+
+    Args:
+        simulator: the episode's.
+        sight: what hides people, if it is known already.
+        stop_ends: where STOP ends an episode it stands by turning to and fro.
+
+    Raises:
+        PlanError: the mission does not say whom to follow.
+    """
+
+    def __init__(
+        self, simulator: Simulator, sight: OccupancyGrid | None = None, *, stop_ends: bool = False
+    ) -> None:
+        episode = simulator.episode
+        task = follow_task(episode, sight)
+        assert episode.followed is not None
+        self._simulator, self._stop_ends = simulator, stop_ends
+        self._row = episode.people.index(episode.followed)
+        self._oracle = FollowOracle(simulator.navigation, task)
+        self._side = Action.LEFT
+
+    def act(self) -> Action:
+        """The next action; STOP, or a turn, where a step would touch somebody.
+
+        Raises:
+            PlanError: the agent is cut off from the person.
+        """
+        simulator = self._simulator
+        places = [(float(x), float(y)) for x, y in simulator.company.places.tolist()]
+        person = places.pop(self._row)
+        action = self._oracle.act(simulator.pose, simulator.time, places, person)
+        if action == Action.FORWARD and meets_somebody(simulator):
+            action = Action.STOP
+        if action == Action.STOP and self._stop_ends:
+            action = self._side
+            self._side = Action.RIGHT if action == Action.LEFT else Action.LEFT
+        return action
+
+
+class SightOf:
+    """What hides people in the scene of last time, as it takes a while to find out."""
+
+    def __init__(self) -> None:
+        self._known: tuple[Scene, float, OccupancyGrid] | None = None
+
+    def find(self, scene: Scene, eye: float) -> OccupancyGrid:
+        """What hides people in a scene from an eye at a height [m]."""
+        if self._known is None or self._known[0] is not scene or self._known[1] != eye:
+            self._known = (scene, eye, sight_grid(scene, eye))
+        return self._known[2]
+
+
+class GoalAmongPeople:
+    """Walks plans to a goal among people: waits by turning to and fro, and goes round who stands.
+
+    Args:
+        simulator: the episode's.
+        plan: the actions from the agent's pose of now to the goal, on a map.
+    """
+
+    def __init__(self, simulator: Simulator, plan: Planner) -> None:
+        self._simulator, self._planner = simulator, plan
+        self._plan: deque[Action] = deque()
+        self._expected: Pose2D | None = None
+        self._where: list[tuple[Place, float]] = []  # where each is, since when
+        self._around: tuple[Place, ...] = ()
+        self._waited = 0
+        self._in_vain: dict[int, float] = {}  # who was waited for, until when it counts as standing
+
+    def act(self) -> Action:
+        """The next action.
+
+        Raises:
+            PlanError: the goal cannot be reached, people or no people.
+        """
+        simulator = self._simulator
+        standing = self._standing()
+        off = self._expected is None or not np.allclose(self._expected, simulator.pose, atol=1e-6)
+        if off or standing != self._around:
+            self._replan(standing)
+        if not self._plan:
+            return Action.STOP
+        action = self._plan[0]
+        hit = simulator.foresee_forward() if action == Action.FORWARD else None
+        if hit is None:
+            self._plan.popleft()
+            if action == Action.FORWARD:
+                self._waited = 0
+        else:
+            self._waited += 1
+            if self._waited >= WAITS:
+                self._in_vain[hit.number] = simulator.time + DETOUR
+                self._waited = 0
+                if self._is_close():
+                    return Action.STOP
+            action = Action.LEFT
+            self._plan.appendleft(Action.RIGHT)
+        self._expected = simulator.pose_after(action)
+        return action
+
+    def _standing(self) -> tuple[Place, ...]:
+        """Where people are whom it does not wait for."""
+        simulator, time = self._simulator, self._simulator.time
+        places = [(float(x), float(y)) for x, y in simulator.company.places.tolist()]
+        before, x, y = self._where, simulator.pose.x, simulator.pose.y
+        self._where = [
+            before[k] if k < len(before) and before[k][0] == place else (place, time)
+            for k, place in enumerate(places)
+        ]
+        found = []
+        for person, (place, since) in zip(simulator.company.people, self._where, strict=True):
+            tired = self._in_vain.get(person.number, -math.inf) > time
+            if (time - since >= STILL or tired) and math.dist(place, (x, y)) <= AROUND:
+                # whole cells, so that who shuffles about is not planned anew at each step
+                found.append((round(place[0], 1), round(place[1], 1)) if tired else place)
+        return tuple(found)
+
+    def _replan(self, standing: tuple[Place, ...]) -> None:
+        simulator = self._simulator
+        self._around = standing
+        if standing:
+            radius = simulator.company.radius + MARGIN
+            walked = people_map(simulator.navigation, standing, radius)
+            if walked.is_free(simulator.pose.x, simulator.pose.y):
+                try:
+                    self._plan = deque(self._planner(walked))
+                    return
+                except PlanError:  # shut in by people: wait for them
+                    pass
+        self._plan = deque(self._planner(simulator.navigation))
+
+    def _is_close(self) -> bool:
+        simulator = self._simulator
+        field = simulator.navigation.geodesic(simulator.episode.destination)
+        pose = simulator.pose
+        return bool(field.distance_at(pose.x, pose.y) <= CLOSE)

@@ -15,6 +15,8 @@ import numpy as np
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.follow_recorder import FollowRecorder, Place
 from gn0.errors import EpisodeError
+from gn0.geometry import wrap_angle
+from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import (
     FollowCount,
@@ -27,6 +29,7 @@ from gn0.people.tick import ARRIVED, MODE
 from gn0.sim.state import Action
 
 if TYPE_CHECKING:
+    from gn0.maps.grid import OccupancyGrid
     from gn0.sim.simulator import Simulator
     from gn0.sim.state import Observation, StepResult
 
@@ -66,21 +69,25 @@ class CompanyWatch:
 class FollowReferee:
     """Notes an episode of following, and ends it by the rules.
 
-    The person counts as faced by the agent's picture; where the simulator has no renderer, by its
-    bearing (`docs/following.md`).
+    Who is faced is told by the agent's picture; where `sight` is given, by bearing and line of
+    sight instead, and nothing is drawn (`docs/following.md`).
 
     Args:
         simulator: in which it is played.
         episode: with the person to follow.
         rules: of the profile, and of the suite's step limit.
-        faced: what its rules go by: the picture, or with False the bearing alone.
+        sight: what people are hidden behind, where pictures are done without.
 
     Raises:
         EpisodeError: the mission does not say whom to follow.
     """
 
     def __init__(
-        self, simulator: Simulator, episode: Episode, rules: FollowRules, *, faced: bool
+        self,
+        simulator: Simulator,
+        episode: Episode,
+        rules: FollowRules,
+        sight: OccupancyGrid | None = None,
     ) -> None:
         mission, person = episode.mission, episode.followed
         if not isinstance(mission, MissionFollow) or person is None:
@@ -91,7 +98,7 @@ class FollowReferee:
             )
         self.simulator, self.rules, self.person = simulator, rules, person
         camera = simulator.config.preset.rgb
-        self._pictures, self._picture = faced, camera.width * camera.height
+        self._sight, self._picture = sight, camera.width * camera.height
         self._row = episode.people.index(person)
         self._numbers = tuple(p.number for p in episode.people)
         self._recorder = FollowRecorder(
@@ -99,7 +106,7 @@ class FollowReferee:
             step_seconds=episode.agent.step_seconds,
             preferred=mission.distance or PREFERRED,
             reference_steps=0 if rules.stop_ends else len(mission.actions),
-            picture=self._picture if faced else 0,
+            picture=self._picture if sight is None else 0,
         )
         self._count = FollowCount()
         self.end: FollowEnd | None = None
@@ -113,9 +120,9 @@ class FollowReferee:
                 self._numbers, simulator.company.places.tolist(), strict=True
             )
         }
-        pixels = self._count_pixels()
+        pixels, in_sight = self._count_pixels(), self._find_sight(places)
         if result is None:
-            self._recorder.begin(simulator.pose, places, pixels=pixels)
+            self._recorder.begin(simulator.pose, places, pixels=pixels, in_sight=in_sight)
             return False
         hit = result.info.get("hit_person")
         code = result.info["action"]
@@ -128,27 +135,36 @@ class FollowReferee:
             cost=result.steps,
             arrived=arrived,
             pixels=pixels,
+            in_sight=in_sight,
         )
-        return self._judge(places[self.person.number], pixels, code, hit is not None, result.steps)
+        number = self.person.number
+        if pixels is not None:
+            faced = self.rules.is_faced(pixels[number], self._picture)
+        else:
+            faced = self._is_ahead(places[number]) and bool(in_sight and in_sight[number])
+        return self._judge(places[number], faced, code, hit is not None, result.steps)
 
     def _count_pixels(self) -> dict[int, int] | None:
-        if not self._pictures:
+        if self._sight is not None:
             return None
         seen = self.simulator.look_at_people()[1]
         return {number: round(float(seen[number - 1, 1])) for number in self._numbers}
 
-    def _judge(
-        self, place: Place, pixels: dict[int, int] | None, code: int, hit: bool, cost: int
-    ) -> bool:
+    def _find_sight(self, places: dict[int, Place]) -> dict[int, bool] | None:
+        if self._sight is None:
+            return None
+        eye = (self.simulator.pose.x, self.simulator.pose.y)
+        return {n: is_line_free(self._sight, place, eye) for n, place in places.items()}
+
+    def _is_ahead(self, place: Place) -> bool:
+        pose = self.simulator.pose
+        bearing = wrap_angle(math.atan2(place[1] - pose.y, place[0] - pose.x) - pose.yaw)
+        return abs(math.degrees(bearing)) <= self.rules.half_view
+
+    def _judge(self, place: Place, faced: bool, code: int, hit: bool, cost: int) -> bool:
         pose, step_seconds = self.simulator.pose, self.simulator.agent.step_seconds
-        dx, dy = place[0] - pose.x, place[1] - pose.y
-        if pixels is not None:
-            faced = self.rules.is_faced(pixels[self.person.number], self._picture)
-        else:
-            c, s = math.cos(pose.yaw), math.sin(pose.yaw)
-            bearing = math.atan2(c * dy - s * dx, c * dx + s * dy)
-            faced = abs(math.degrees(bearing)) <= self.rules.half_view
-        sight = FollowSight(math.hypot(dx, dy), faced, hit, code == Action.STOP, cost)
+        away = math.dist(place, (pose.x, pose.y))
+        sight = FollowSight(away, faced, hit, code == Action.STOP, cost)
         self._count, self.end, _ = count_step(
             self._count, sight, self.rules, step_seconds=step_seconds, over_at=self._recorder.over_at
         )

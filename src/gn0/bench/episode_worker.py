@@ -46,6 +46,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.release_map import ReleaseNavigation
 from gn0.missions.episode import MissionFollow, mission_name
 from gn0.missions.follow_rules import FollowRules, follow_rules
+from gn0.missions.generate.follow_sight import sight_grid
 from gn0.plugins import build_plugin, describe_error, get_plugin
 from gn0.render.open import name_drawing
 from gn0.render.share.client import DrawConnection, RendererShared
@@ -68,6 +69,7 @@ from gn0.suites.scene_drawing import Look, needs_renderer
 from gn0.suites.suite import load_suite_scene
 
 if TYPE_CHECKING:
+    from gn0.maps.grid import OccupancyGrid
     from gn0.missions.episode import Episode
     from gn0.render.light import LightCondition
     from gn0.render.renderer import DrawnScene
@@ -79,10 +81,20 @@ LABELS_TOLD = "labels of the scene"  # beside the sensors of who is shown painte
 
 
 class EpisodeWorker:
-    """Runs episodes of one policy; a scene is loaded once and kept until another is needed."""
+    """Runs episodes of one policy; a scene is loaded once and kept until another is needed.
 
-    def __init__(self, settings: Open, policy: Policy | None = None) -> None:
-        self.settings = settings
+    Args:
+        settings: of the run.
+        policy: who acts; by default that of the settings is built.
+        by_pictures: who is followed is told by the agent's picture; else by bearing and line of
+            sight, which is quick and is no score (`docs/following.md`).
+    """
+
+    def __init__(
+        self, settings: Open, policy: Policy | None = None, *, by_pictures: bool = True
+    ) -> None:
+        self.settings, self._by_pictures = settings, by_pictures
+        self._sight: tuple[str, OccupancyGrid] | None = None
         self._dark = settings.control == "no_pictures"  # texts are in the leases
         self._source = ""
         self._isolated = 0  # processes of policies so far
@@ -236,6 +248,22 @@ class EpisodeWorker:
         """Result and trace of a walk on that ground."""
         return score(trajectory, episode, navigation, self.settings.success_radius)
 
+    def carried(self, episode: Episode) -> frozenset[str]:
+        """What the agent carries in an episode: what the policy reads, and what scores need.
+
+        Who is followed is judged by the picture, whether the policy sees it or not.
+        """
+        judged = isinstance(episode.mission, MissionFollow) and self._by_pictures
+        return frozenset(self.policy.sensors) | ({"people_seen"} if judged else set())
+
+    def _find_sight(self, simulator: Simulator) -> OccupancyGrid | None:
+        if self._by_pictures:
+            return None
+        if self._sight is None or self._sight[0] != self._hash:
+            eye = self.settings.agent.camera_height
+            self._sight = self._hash, sight_grid(simulator.scene, eye)
+        return self._sight[1]
+
     def _run_following(
         self, simulator: Simulator, episode: Episode
     ) -> tuple[EpisodeResult, EpisodeTrace]:
@@ -244,7 +272,7 @@ class EpisodeWorker:
         most = min(rules.max_steps, self.settings.max_steps)
         rules = msgspec.structs.replace(rules, max_steps=most)
         try:
-            referee = FollowReferee(simulator, episode, rules, faced=True)
+            referee = FollowReferee(simulator, episode, rules, self._find_sight(simulator))
             trajectory = run_episode(
                 simulator, self.policy, episode, dark=self._dark, watch=referee
             )
@@ -353,15 +381,6 @@ def score_following(
     return result, trace
 
 
-def carried_sensors(policy: Policy, episode: Episode) -> frozenset[str]:
-    """What the agent carries in an episode: what the policy reads, and what its score is made of.
-
-    Who is followed is judged by the picture, whether the policy sees it or not.
-    """
-    judged = {"people_seen"} if isinstance(episode.mission, MissionFollow) else set()
-    return frozenset(policy.sensors) | judged
-
-
 def _invalid(episode: Episode, error: EpisodeError | PlanError) -> EpisodeResult:
     return EpisodeResult(
         episode=episode.id, scene=episode.scene_id, status="invalid", reason=error.what
@@ -452,7 +471,7 @@ def _serve(worker: EpisodeWorker, lease: Lease, send: Callable[[FromWorker], Non
     try:
         simulator = worker.open_scene(
             Path(lease.folder), episode.scene_id, lease.hash, episode.light,
-            carried_sensors(worker.policy, episode),
+            worker.carried(episode),
         )  # fmt: skip
     except Exception as error:
         fatal = isinstance(error, Gn0Error)

@@ -27,7 +27,7 @@ from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
 from gn0.missions.controls import Control
 from gn0.sim.rollout import TELEPORT_CODE
-from gn0.sim.state import MapMode, Trajectory
+from gn0.sim.state import Action, MapMode, Teleport, Trajectory
 from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
 from gn0.suites.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.suites.track import Standing
@@ -187,6 +187,16 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 def _plain(poses: Iterable[Pose2D]) -> tuple[tuple[float, float, float], ...]:
     return tuple((float(p.x), float(p.y), float(p.yaw)) for p in poses)
+
+
+def recorded_actions(trace: EpisodeTrace) -> Iterator[Action | Teleport]:
+    """The actions of a trace, teleports with the pose that they asked for."""
+    asked = iter(trace.teleports)
+    for index, code in enumerate(trace.actions):
+        if code != TELEPORT_CODE:
+            yield Action(code)
+        else:
+            yield Teleport(*next(asked, trace.poses[index + 1]))
 
 
 Isolation = Literal["in-process", "own process", "server", "a person"]

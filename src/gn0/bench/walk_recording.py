@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from gn0.bench.episode_worker import EpisodeWorker, carried_sensors
+from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.replay import PolicyReplay
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary, load_results
@@ -95,7 +95,7 @@ class WalkRecorder:
     def _open(self, worker: EpisodeWorker, episode: Episode) -> Simulator:
         scene = episode.scene_id
         folder = self.suite.scene_folder(scene).resolve()
-        carried = carried_sensors(worker.policy, episode)
+        carried = worker.carried(episode)
         return worker.open_scene(
             folder, scene, self.suite.scene_hash(scene), episode.light, carried
         )

@@ -17,6 +17,7 @@ from gn0.data.follow_oracle import MARGIN, FollowOracle, people_map
 from gn0.data.follow_reference import follow_task
 from gn0.errors import PlanError
 from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import TICKS_A_SECOND
 from gn0.missions.generate.follow_sight import sight_grid
 from gn0.sim.state import Action
 
@@ -61,6 +62,7 @@ class FollowingOracle:
         assert episode.followed is not None
         self._simulator, self._stop_ends = simulator, stop_ends
         self._row = episode.people.index(episode.followed)
+        self._track = task.track.places
         self._oracle = FollowOracle(simulator.navigation, task)
         self._side = Action.LEFT
 
@@ -72,7 +74,10 @@ class FollowingOracle:
         """
         simulator = self._simulator
         places = [(float(x), float(y)) for x, y in simulator.company.places.tolist()]
-        person = places.pop(self._row)
+        person: Place | None = places.pop(self._row)
+        tick = min(round(simulator.time * TICKS_A_SECOND), len(self._track) - 1)
+        if person == tuple(self._track[tick].tolist()):  # nothing held it up
+            person = None
         action = self._oracle.act(simulator.pose, simulator.time, places, person)
         if action == Action.FORWARD and meets_somebody(simulator):
             action = Action.STOP

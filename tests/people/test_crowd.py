@@ -12,9 +12,9 @@ from gn0.missions.people import check_people_walls
 from gn0.people.crowd import CrowdState, build_walls, empty_crowd, place_people, step_crowd
 from gn0.people.person import EpisodePerson
 from gn0.people.plan import find_seat, plan_people
+from gn0.people.reach import HOLD_LEFT, MODE
 from gn0.people.route import Routes, build_routes
 from gn0.people.settings import PeopleSettings
-from gn0.people.tick import HOLD_LEFT, MODE
 from gn0.people.walk import walk_alone
 from gn0.scenes import build_example_scene
 

@@ -27,6 +27,7 @@ EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy bae --policy-option checkpoint=out/sft/policy \\
       --control shuffled --out out/shuffled
   gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
+  gn0 bench run follow-demo --policy oracle --out out/following
   gn0 bench run out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --out out/remote
   gn0 bench run out/suite --policy mine --plugin my_policies.py --name "mine, v2" --out out/v2"""
 
@@ -35,7 +36,8 @@ class Args(Config, frozen=True):
     """What to run and where to write.
 
     Attributes:
-        suite: a suite folder, or a scene folder.
+        suite: a suite folder, or a scene folder; or follow-demo: people to follow in two homes,
+            made on first use.
         out: the results folder; an interrupted run there is resumed.
         policy: name of a policy (oracle, straight, wall_follower, random, remote, or a plug-in).
         name: what tables, reports and comparisons call this run; by default what the policy
@@ -107,13 +109,13 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.result_tables import print_summaries
     from gn0.render.open import visible_backend
-    from gn0.suites.suite import open_suite
+    from gn0.suites.named_suites import open_named
     from gn0.suites.track import read_track
 
     out = Path(args.out)
     say_backend(args.backend)
     with draw_progress() as progress:
-        suite = open_suite(args.suite, beside=out)
+        suite = open_named(args.suite, beside=out, progress=progress)
         suite = suite.with_profile(args.profile or suite.about.profile)
         suite = suite.with_map_mode(args.map_mode or suite.map_mode)
         suite = suite.with_track(read_track(args.track) or suite.track)

@@ -46,9 +46,9 @@ def run(args: Args) -> int:
     from gn0.missions.sets.vlnce import VlnceFile
     from gn0.missions.sets.vocabulary import are_r2r_words, count_unknown, tell_unknown
     from gn0.suites.foreign_sets import export_set
-    from gn0.suites.suite import open_suite
+    from gn0.suites.named_suites import open_named
 
-    suite = open_suite(args.suite)
+    suite = open_named(args.suite)
     written = export_set(suite, args.format, args.out, vocabulary=args.vocabulary)
     if isinstance(written.native, VlnceFile) and written.native.words:
         words = written.native.words

@@ -81,6 +81,8 @@ def draw_episode(
         f"{sum(inside) / max(len(inside), 1):.1%} of {len(inside)} points on free cells   ·   "
         "green: start, star: goal, red: not on free cells"
     )
+    if episode is not None and episode.people:
+        words += "   ·   purple: the person to follow, grey: others" * bool(episode.followed)
     picture = render_overlay(
         scene,
         chosen,
@@ -125,9 +127,9 @@ def _show_suite(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.errors import EpisodeError
     from gn0.storage import write_atomic
-    from gn0.suites.suite import open_suite
+    from gn0.suites.named_suites import open_named
 
-    suite = open_suite(args.path)
+    suite = open_named(args.path)
     home = Path(args.path).resolve()
     known = {episode.id: episode for episode in suite.episodes}
     if args.episode:

@@ -100,14 +100,14 @@ def _record(args: Args) -> int:
     from gn0.bench.walk_recording import open_recorder
     from gn0.cli.result_tables import print_summaries
     from gn0.errors import ConfigError
-    from gn0.suites.suite import open_suite
+    from gn0.suites.named_suites import open_named
     from gn0.viewer.live_record import RecordView
 
     if len(args.paths) != 1 or args.results:
         raise ConfigError(
             "one suite is walked at a time", where="--record", remedy="gn0 view SUITE --record OUT"
         )
-    suite = open_suite(args.paths[0], beside=args.record)
+    suite = open_named(args.paths[0], beside=args.record)
     known = [episode.id for episode in suite.episodes]
     if args.episode and args.episode not in known:
         raise ConfigError(

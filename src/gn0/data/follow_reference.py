@@ -34,6 +34,8 @@ from gn0.sim.state import Action
 
 VIOLATIONS = ("too near", "too far", "out of sight", "off axis", "near others")
 
+_ON_TIME = 0.01  # m from where a person would be alone: farther, and somebody held it up
+
 
 def person_track(person: EpisodePerson, seconds: float) -> TargetTrack:
     """Where a person is at each tick with nobody in its way, and where it faces.
@@ -129,7 +131,8 @@ class FollowTracker:
         self._simulator.reset(episode)
         return self._simulator
 
-    def _sight(self, episode: Episode) -> OccupancyGrid:
+    def sight(self, episode: Episode) -> OccupancyGrid:
+        """What hides people from the agent of an episode."""
         eye = episode.agent.camera_height
         if eye not in self._sights:
             self._sights[eye] = sight_grid(self.scene, eye)
@@ -139,8 +142,9 @@ class FollowTracker:
         """Steps that an undisturbed episode takes, by the rules."""
         mission = episode.mission
         assert isinstance(mission, MissionFollow)
-        ticks = round(10 * (mission.seconds + self.rules.linger))
-        return min(-(-ticks // episode.agent.step_ticks), self.rules.max_steps)
+        step, linger = episode.agent.step_ticks, round(10 * self.rules.linger)
+        arrived = -(-round(10 * mission.seconds) // step)  # steps until that is noticed
+        return min(arrived - (-linger // step), self.rules.max_steps)
 
     def track(self, episode: Episode) -> tuple[FollowReference | None, str]:
         """The reference of an episode whose actions are not known yet, or why there is none.
@@ -152,7 +156,7 @@ class FollowTracker:
             (reference, ""), or (None, the reason).
         """
         settings, count = self.settings, self.steps_of(episode)
-        simulator, sight = self._open(episode), self._sight(episode)
+        simulator, sight = self._open(episode), self.sight(episode)
         task = follow_task(episode, sight)
         oracle = FollowOracle(self.navigation, task)
         recorder = _Recorder(simulator, episode)
@@ -184,7 +188,7 @@ class FollowTracker:
         """What the kept actions of an episode lead to."""
         mission = episode.mission
         assert isinstance(mission, MissionFollow)
-        simulator, sight = self._open(episode), self._sight(episode)
+        simulator, sight = self._open(episode), self.sight(episode)
         recorder = _Recorder(simulator, episode)
         for code in mission.reference_actions:
             result = simulator.step(code)
@@ -235,10 +239,14 @@ class _Recorder:
         )
 
     def keeps(self, track: TargetTrack) -> bool:
-        """Whether the person is where it would be with nobody in its way, to the bit."""
+        """Whether the person is where it would be with nobody in its way.
+
+        Not to the last bit: kernels round otherwise where somebody is near.
+        """
         tick = round(10 * self.simulator.time)
         at = min(tick, len(track.times) - 1)
-        return bool((self.simulator.company.places[self.row] == track.places[at]).all())
+        away = self.simulator.company.places[self.row] - track.places[at]
+        return bool(np.hypot(away[0], away[1]) <= _ON_TIME)
 
     def note(self, action: int, violation: int, touched: bool = False) -> None:
         self.actions.append(action)

@@ -19,3 +19,5 @@ from gn0.missions.sets.episode_set import EpisodeSet as EpisodeSet
 from gn0.missions.sets.episode_set import Exporter as Exporter
 from gn0.missions.sets.episode_set import get_exporter as get_exporter
 from gn0.missions.sets.episode_set import load_set as load_set
+from gn0.people.person import EpisodePerson as EpisodePerson
+from gn0.people.person import PersonStop as PersonStop

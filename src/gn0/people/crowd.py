@@ -21,8 +21,7 @@ from gn0.jit import njit, prange
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.people.person import RADIUS, WALL_DISTANCE
-from gn0.people.route import I64, Routes
-from gn0.people.tick import (
+from gn0.people.reach import (
     BLOCKED_BY,
     CLIP_SINCE,
     DIRECTION,
@@ -30,8 +29,9 @@ from gn0.people.tick import (
     REALS,
     WHOLES,
     Pace,
-    tick_people,
 )
+from gn0.people.route import I64, Routes
+from gn0.people.tick import tick_people
 
 TICKS_A_SECOND = 10
 LONG_AGO = 1_000  # ticks: who stands when an episode begins did not just stop
@@ -67,7 +67,7 @@ def build_walls(grids: Sequence[OccupancyGrid], distance: float = WALL_DISTANCE)
 
 @dataclass(frozen=True, eq=False)
 class CrowdState:
-    """People of E episodes, P places each; see `gn0.people.tick` for the columns.
+    """People of E episodes, P places each; see `gn0.people.reach` for the columns.
 
     Attributes:
         real: [E, P, REALS] float64: places, headings, speeds, ways.

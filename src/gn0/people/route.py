@@ -109,15 +109,15 @@ def _build(person: EpisodePerson, rate: int) -> _Route:
     if not closed:
         ahead[-1] = 0.0
         behind[0] = 0.0
-    elif behind[0]:
-        behind[0] = 0.0  # nobody walks back over the seam of a loop
     for _ in range(2 if closed else 1):
         if closed:
             ahead[-1] = ahead[0] = min(ahead[-1], ahead[0])
         for k in range(len(long) - 1, -1, -1):
             ahead[k] = min(ahead[k], _root(ahead[k + 1] * ahead[k + 1] + 2.0 * BRAKE * long[k]))
-    for k in range(len(long)):
-        behind[k + 1] = min(behind[k + 1], _root(behind[k] * behind[k] + 2.0 * BRAKE * long[k]))
+        if closed:
+            behind[-1] = behind[0] = min(behind[-1], behind[0])
+        for k in range(len(long)):
+            behind[k + 1] = min(behind[k + 1], _root(behind[k] * behind[k] + 2.0 * BRAKE * long[k]))
     tangent.append(tangent[0] if closed else tangent[-1])
     holds: list[tuple[float, float, float, float]] = []
     for stop in person.stops:

@@ -1,7 +1,7 @@
 """How people look at a tick: which clip, which frame of it, blended with which, the head where.
 
 All that a posed cloud depends on is in a key of few values, so that clouds can be kept: phases of
-64 a cycle, frames of a fifth of a second, blends by quarters, looks of five classes. Who walks is
+64 a cycle, frames of two fifths of a second, quarters of blends, five looks. Who walks is
 drawn where its phase says, at most 1.2 cm from where it is, so that a planted foot stays put.
 """
 
@@ -19,11 +19,11 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.people.cast import Actor
 from gn0.people.person import EpisodePerson
+from gn0.people.reach import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
 from gn0.people.route import I64
-from gn0.people.tick import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
 from gn0.seeds import derive_seed
 
-_STEP = 6  # frames of a clip by time that one is shown for: a fifth of a second
+_STEP = 12  # frames of a clip by time that one is shown for: two fifths of a second
 _BLEND = 4  # ticks that one clip goes over into another
 _PAUSE = 5.0  # s between gestures of who stands
 _NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at

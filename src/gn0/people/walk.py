@@ -18,8 +18,8 @@ from gn0.people.crowd import (
     step_crowd,
 )
 from gn0.people.person import EpisodePerson
+from gn0.people.reach import CLIP, CLIP_SINCE, HX, MODE, SPEED, WALKED, X
 from gn0.people.route import build_routes
-from gn0.people.tick import CLIP, CLIP_SINCE, HX, MODE, SPEED, WALKED, X
 
 NO_WALLS: Walls = build_walls(())
 NO_AGENT: F64 = np.array([[0.0, 0.0, -1.0]])

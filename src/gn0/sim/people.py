@@ -25,8 +25,8 @@ from gn0.people.crowd import (
     step_crowd,
 )
 from gn0.people.person import RADIUS, EpisodePerson
+from gn0.people.reach import HX, HY, X0, Y0, X, Y
 from gn0.people.route import Routes, build_routes
-from gn0.people.tick import HX, HY, X0, Y0, X, Y
 from gn0.sim.collision import Move
 from gn0.sim.ticks import move_in_ticks
 
@@ -96,7 +96,7 @@ class Company:
 
     @property
     def state(self) -> CrowdState:
-        """What they do now, see `gn0.people.tick`; not to be written to."""
+        """What they do now, see `gn0.people.reach`; not to be written to."""
         return self._state
 
     @property

@@ -29,6 +29,7 @@ from gn0.jobs import ExecutorName, run_jobs
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.episode_files import fill_rare_columns, read_table, save_episodes
+from gn0.missions.follow_rules import FOLLOW
 from gn0.missions.generate.follow_settings import FOLLOW_REASONS
 from gn0.missions.generate.follow_tracks import TRACKS, FollowTrackRow, tracks_table
 from gn0.missions.generate.judge import REASONS
@@ -415,7 +416,7 @@ def _put_together(
         camera=request.camera,
         agent=request.agent,
         episodes=sum(splits.values()),
-        max_steps=MAX_STEPS,
+        max_steps=FOLLOW.max_steps if request.settings.missions == ("follow",) else MAX_STEPS,
         track=choose_track(set(episodes.column("mission").to_pylist())),
     )
     write_json(out / SUITE_FILE, msgspec.to_builtins(about))

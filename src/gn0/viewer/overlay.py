@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from gn0.maps.grid import OCCUPIED, UNKNOWN
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
+from gn0.people.person import RADIUS
 from gn0.render.bev import render_bev
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
@@ -23,6 +24,7 @@ from gn0.viewer.floor_plan import INK, MUTED, PAPER, font, plan_bounds
 PATH = (18, 92, 214)
 BLOCKED_PATH = (214, 40, 40)
 START, GOAL = (22, 140, 70), (178, 34, 140)
+OTHERS = (90, 90, 90)  # people who are not to be followed
 _WALL = (52, 58, 68, 150)
 _DARK = (120, 120, 130, 110)
 _GAP, _LINE = 18, 24
@@ -127,7 +129,10 @@ def _map_layer(
 
 def _draw_episode(pen: ImageDraw.ImageDraw, scene: Scene, episode: Episode, place, *, bold: bool):  # type: ignore[no-untyped-def]
     thick = (4 if bold else 2) * _SCALE
-    points = np.array([episode.start[:2], *episode.path, episode.goal], np.float64)
+    if bold:
+        _draw_people(pen, episode, place)
+    end = () if isinstance(episode.mission, MissionFollow) else (episode.goal,)  # it is not gone to
+    points = np.array([episode.start[:2], *episode.path, *end], np.float64)
     for a, b in pairwise(points):
         parts = max(1, int(np.ceil(np.hypot(*(b - a)) / (scene.grid.resolution / 2))))
         t = np.linspace(0.0, 1.0, parts + 1)[:, None]
@@ -160,6 +165,19 @@ def _draw_episode(pen: ImageDraw.ImageDraw, scene: Scene, episode: Episode, plac
         for k in range(10)
     ]
     pen.polygon(star, fill=GOAL, outline=PAPER)
+
+
+def _draw_people(pen: ImageDraw.ImageDraw, episode: Episode, place) -> None:  # type: ignore[no-untyped-def]
+    """The ways of people, and their discs where they begin; the one to follow in colour."""
+    for person in episode.people:
+        colour = GOAL if person == episode.followed else OTHERS
+        spots = place(np.array(person.path))
+        if len(spots) > 1:
+            pen.line(spots, fill=colour, width=2 * _SCALE)
+        x, y = person.spot
+        (x, y), (edge, _) = place(np.array([(x, y), (x + RADIUS, y)]))
+        r = edge - x
+        pen.ellipse((x - r, y - r, x + r, y + r), outline=colour, width=2 * _SCALE)
 
 
 def _caption(episodes: Sequence[Episode]) -> list[str]:

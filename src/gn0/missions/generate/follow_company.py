@@ -29,6 +29,7 @@ _SPEEDS = (0.5, 1.2)  # m/s
 _CANDIDATES = 10  # places looked at for each who is wanted
 _TRIES = 8  # drawn for each of those
 _NOBODY = "drawn:0:0"  # until it is said who it is
+_ON_TIME = 0.01  # m off its place alone: farther, and others make the person wait
 _TO_AGENT = 0.95  # m that others stay away from where the agent will be
 
 
@@ -172,11 +173,9 @@ class CompanyPlanner:
             places = play_people(self._blocked, [path.person, *left[:count]], ticks)
             gap = np.hypot(*(places[1:] - places[:1]).transpose(2, 0, 1)).min(axis=1)
             near = np.hypot(*(places[1:] - agent[None]).transpose(2, 0, 1)).min(axis=1)
-            same = len(path.track.place) >= ticks and np.array_equal(
-                places[0], path.track.place[:ticks]
-            )
+            late = np.abs(places[0] - path.track.place[:ticks]).max()
             bad = (gap < settings.meet) | (near < _TO_AGENT)
-            if not bad.any() and not same:
+            if not bad.any() and late > _ON_TIME:
                 bad[int(np.argmin(gap))] = True  # who makes the person wait
             if not bad.any():
                 chosen = left[:count]

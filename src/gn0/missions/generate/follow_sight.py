@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.geometry import F64
 from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from gn0.scenes.scene import ObjectBox, Scene
 
@@ -38,8 +37,8 @@ def sight_grid(scene: Scene, eye: float) -> OccupancyGrid:
 def _covered(grid: OccupancyGrid, box: ObjectBox) -> NDArray[np.bool_]:
     """Cells whose centres a box stands over, its edge included."""
     rows, cols = np.indices(grid.shape)
-    x: F64 = grid.origin[0] + (cols + 0.5) * grid.resolution - box.centre[0]
-    y: F64 = grid.origin[1] + (rows + 0.5) * grid.resolution - box.centre[1]
+    x = grid.origin[0] + (cols + 0.5) * grid.resolution - box.centre[0]
+    y = grid.origin[1] + (rows + 0.5) * grid.resolution - box.centre[1]
     c, s = np.cos(box.yaw), np.sin(box.yaw)
     along, aside = c * x + s * y, -s * x + c * y
     inside = np.abs(along) <= box.size[0] / 2 + _EDGE

@@ -1,0 +1,260 @@
+"""Round whoever stands in the way, as kernels: beside the path, on the freer side, and back."""
+
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+
+from gn0.jit import njit
+from gn0.people.reach import (
+    ASIDE_LEFT,
+    BACK_LEFT,
+    BACK_SECONDS,
+    BLOCKED_BY,
+    DIRECTION,
+    HOLD,
+    HOME,
+    HX,
+    HY,
+    MODE,
+    NO_WAY_SECONDS,
+    NOBODY,
+    ON_PATH,
+    PIECE,
+    ROOM,
+    ROUND_COS,
+    ROUND_COS20,
+    ROUND_SECONDS,
+    ROUND_SIN,
+    ROUND_SIN20,
+    ROUND_SPEED,
+    ROUND_TICKS,
+    SHUFFLE,
+    SIDE,
+    SIDEWAYS,
+    SPEED,
+    TURNED,
+    TURNS,
+    WAIT,
+    WAY,
+    X0,
+    Y0,
+    X,
+    Y,
+    gap_at,
+    is_free,
+    place_at,
+    room_ahead,
+    share_allowed,
+    turn_to,
+)
+from gn0.people.route import ACCELERATION
+
+
+@njit
+def choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
+    """The side with more free places beside the way ahead: 1 left, −1 right; right of equals."""
+    x, y = real[e, p, X], real[e, p, Y]
+    best, side = -1, -1
+    for s in (-1, 1):
+        free = 0
+        for a in range(1, 4):
+            for b in range(0, 4):
+                qx = x + tx * 0.3 * b - s * ty * 0.25 * a
+                qy = y + ty * 0.3 * b + s * tx * 0.25 * a
+                if not is_free(walls, wall_arrays, e, qx, qy):
+                    break
+                if gap_at(real, route, agent, radius, e, p, qx, qy) > ROOM:
+                    free += 1
+        if free > best:
+            best, side = free, s
+    return side
+
+
+@njit
+def nearest_way(routes, r, way, piece, sign, x, y):
+    """Nearest point of the path to (x, y), from `way` up to 3 m on: its way, distance, piece."""
+    first, last = routes.table[r, 0], routes.table[r, 1] - 2
+    best, found, where = 1e30, way, piece
+    k = first + piece
+    gone = 0.0
+    while first <= k <= last and gone < 3.0:
+        low, high = routes.points[k, 4], routes.points[k + 1, 4]
+        if sign > 0:
+            low = max(low, way)
+        else:
+            high = min(high, way)
+        tx, ty = routes.points[k, 2], routes.points[k, 3]
+        at = routes.points[k, 4] + (x - routes.points[k, 0]) * tx + (y - routes.points[k, 1]) * ty
+        at = min(max(at, low), high)
+        left = at - routes.points[k, 4]
+        dx, dy = routes.points[k, 0] + tx * left - x, routes.points[k, 1] + ty * left - y
+        square = dx * dx + dy * dy
+        if square < best:
+            best, found, where = square, at, k - first
+        gone = high - way if sign > 0 else way - low
+        k += sign
+    return found, math.sqrt(best), where
+
+
+@njit
+def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p):
+    """A tick away from everybody, wherever there is room."""
+    x, y, v, dt = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED], pace.seconds
+    now = min(v + ACCELERATION * dt * 0.875, 0.5)
+    step = 0.5 * (v + now) * dt
+    hx, hy = real[e, p, HX], real[e, p, HY]
+    best, bx, by = gap_at(real, route, agent, radius, e, p, x, y) + 0.02, 0.0, 0.0
+    for turn in range(-6, 7):
+        cos, sin = ROUND_COS[abs(turn)], ROUND_SIN[abs(turn)]
+        if turn < 0:
+            sin = -sin
+        ux, uy = hx * cos - hy * sin, hx * sin + hy * cos
+        free = True
+        for part in (0.1, 0.2, 0.3):
+            if not is_free(walls, wall_arrays, e, x + ux * part, y + uy * part):
+                free = False
+                break
+        if free and is_free(walls, wall_arrays, e, x + ux * step, y + uy * step):
+            clear = gap_at(real, route, agent, radius, e, p, x + ux * 0.3, y + uy * 0.3)
+            if clear > best:
+                best, bx, by = clear, ux, uy
+    real[e, p, SPEED] = 0.0
+    if bx == 0.0 and by == 0.0:
+        whole[e, p, ASIDE_LEFT] = 0
+        return
+    if turn_to(real, pace, e, p, bx, by, pace.seconds) < SIDEWAYS:
+        return
+    nx, ny = x + bx * step, y + by * step
+    share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny)
+    if share >= 1.0:
+        real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, now
+    else:
+        whole[e, p, ASIDE_LEFT] = 0
+
+
+@njit
+def clear_line(walls, wall_arrays, e, x, y, u, v):
+    """Whether five places of a short line are free of walls."""
+    for k in range(1, 6):
+        if not is_free(walls, wall_arrays, e, x + (u - x) * (0.2 * k), y + (v - y) * (0.2 * k)):
+            return False
+    return True
+
+
+@njit
+def come_home(whole, routes, r, way, piece, e, p):
+    """Be on the path again; stops that were passed are left out."""
+    whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
+    first, last = routes.table[r, 2], routes.table[r, 3]
+    while first + whole[e, p, HOLD] < last and routes.holds[first + whole[e, p, HOLD], 0] < way:
+        whole[e, p, HOLD] += 1
+
+
+@njit
+def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
+    """A tick beside the path, around whoever is on it."""
+    r, dt = route[e, p], pace.seconds
+    sign, side = whole[e, p, DIRECTION], whole[e, p, SIDE]
+    x, y, v = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED]
+    length = routes.lines[r, 1]
+    whole[e, p, ROUND_TICKS] += 1
+    if (
+        whole[e, p, ROUND_TICKS] > ROUND_SECONDS * pace.rate
+        or whole[e, p, WAIT] > NO_WAY_SECONDS * pace.rate
+    ):
+        if whole[e, p, WAIT] > 0 and whole[e, p, TURNED] % 2 == 1:
+            whole[e, p, ASIDE_LEFT] = routes.table[r, 6]
+        whole[e, p, WAIT] = 0
+        whole[e, p, ROUND_TICKS], whole[e, p, SIDE] = 0, -side
+        whole[e, p, DIRECTION] = sign = -sign
+        whole[e, p, TURNED] += 1
+        whole[e, p, BACK_LEFT] = 0
+        if sign < 0 and routes.table[r, 4] != 1:
+            whole[e, p, BACK_LEFT] = BACK_SECONDS * pace.rate + routes.table[r, 6]
+        side = -side
+    if whole[e, p, ASIDE_LEFT] > 0:
+        whole[e, p, ASIDE_LEFT] -= 1
+        make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p)
+        return
+    way, aside, piece = nearest_way(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
+    real[e, p, WAY], whole[e, p, PIECE] = way, piece
+    fastest = min(ROUND_SPEED, routes.lines[r, 0])
+    now = min(v + ACCELERATION * dt * 0.875, fastest)
+    step = 0.5 * (v + now) * dt
+    bx, by, best = 0.0, 0.0, -1e30
+    if aside <= HOME:
+        _, who = room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, 0.6)
+        nx, ny, piece, tx, ty = place_at(routes, r, way, piece)
+        if who == NOBODY and clear_line(walls, wall_arrays, e, x, y, nx, ny):
+            near = aside <= step + 0.005
+            ux, uy = 0.0, 0.0
+            if not near:
+                ux, uy = (nx - x) / aside, (ny - y) / aside
+                nx, ny = x + ux * step, y + uy * step
+            share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny)
+            if share >= 1.0 and (near or aside <= SHUFFLE):
+                real[e, p, X], real[e, p, Y] = nx, ny
+                real[e, p, SPEED] = aside / dt if near else now
+                turn_to(real, pace, e, p, sign * tx, sign * ty, pace.seconds)
+                if near:
+                    come_home(whole, routes, r, way, piece, e, p)
+                return
+            if share >= 1.0:
+                bx, by, best = ux, uy, 1.0
+    carrot = min(max(aside + 0.3, 0.4), 1.2)
+    at = min(max(way + sign * carrot, 0.0), length)
+    cx, cy, _, _, _ = place_at(routes, r, at, piece)
+    dx, dy = cx - x, cy - y
+    size = math.sqrt(dx * dx + dy * dy)
+    if size < 1e-6:
+        dx, dy = real[e, p, HX], real[e, p, HY]
+    else:
+        dx, dy = dx / size, dy / size
+    here = gap_at(real, route, agent, radius, e, p, x, y)
+    for turn in TURNS:
+        if best == 1.0:  # the path itself, near by and free
+            break
+        if turn >= 0:
+            cos, sin = ROUND_COS20[turn], ROUND_SIN20[turn] * side
+        else:
+            cos, sin = ROUND_COS20[-turn], -ROUND_SIN20[-turn] * side
+        ux, uy = dx * cos - dy * sin, dx * sin + dy * cos
+        score = cos + 0.3 * (ux * real[e, p, HX] + uy * real[e, p, HY])
+        if score <= best:
+            continue
+        reach = 0.35 if size > 0.35 else size
+        ok = True
+        for part in (0.34, 0.67, 1.0):
+            qx, qy = x + ux * reach * part, y + uy * reach * part
+            if not is_free(walls, wall_arrays, e, qx, qy):
+                ok = False
+                break
+            clear = gap_at(real, route, agent, radius, e, p, qx, qy)
+            if clear < ROOM and clear < here + 0.2 * reach * part:
+                ok = False
+                break
+        if ok and not is_free(walls, wall_arrays, e, x + ux * step, y + uy * step):
+            ok = False
+        if ok:
+            best, bx, by = score, ux, uy
+    if best < -1e29:
+        whole[e, p, WAIT] += 1
+        real[e, p, SPEED] = 0.0
+        turn_to(real, pace, e, p, dx, dy, pace.seconds)
+        return
+    if turn_to(real, pace, e, p, bx, by, pace.seconds) < SIDEWAYS:
+        real[e, p, SPEED] = 0.0
+        return
+    nx, ny = x + bx * step, y + by * step
+    share, who = share_allowed(real, route, agent, radius, e, p, nx, ny)
+    if share < 1.0:
+        whole[e, p, BLOCKED_BY] = who
+        now = 0.0
+        whole[e, p, WAIT] += 1
+        share = share * 0.999
+        nx, ny = x + bx * step * share, y + by * step * share
+        if not is_free(walls, wall_arrays, e, nx, ny):
+            nx, ny = x, y
+    real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, now

@@ -25,7 +25,7 @@ from gn0.missions.follow_rules import (
     FollowSight,
     count_step,
 )
-from gn0.people.tick import ARRIVED, MODE
+from gn0.people.reach import ARRIVED, MODE
 from gn0.sim.state import Action
 
 if TYPE_CHECKING:
@@ -116,9 +116,7 @@ class FollowReferee:
         simulator = self.simulator
         places: dict[int, Place] = {
             number: (float(x), float(y))
-            for number, (x, y) in zip(
-                self._numbers, simulator.company.places.tolist(), strict=True
-            )
+            for number, (x, y) in zip(self._numbers, simulator.company.places.tolist(), strict=True)
         }
         pixels, in_sight = self._count_pixels(), self._find_sight(places)
         if result is None:
@@ -166,7 +164,11 @@ class FollowReferee:
         away = math.dist(place, (pose.x, pose.y))
         sight = FollowSight(away, faced, hit, code == Action.STOP, cost)
         self._count, self.end, _ = count_step(
-            self._count, sight, self.rules, step_seconds=step_seconds, over_at=self._recorder.over_at
+            self._count,
+            sight,
+            self.rules,
+            step_seconds=step_seconds,
+            over_at=self._recorder.over_at,
         )
         return self.end is not None
 

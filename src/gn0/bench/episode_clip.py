@@ -141,9 +141,7 @@ def render_clip(
         frames.append(
             _compose(
                 view,
-                backdrop.paint(
-                    index, trace.poses[index][2], there[number] if there else None
-                ),
+                backdrop.paint(index, trace.poses[index][2], there[number] if there else None),
                 title,
                 episode.instruction,
                 _caption(index, trace, hits, result if over else None),

@@ -57,7 +57,8 @@ class Args(Config, frozen=True):
         isolate: run the policy in a process of its own: it shares no memory with the harness, gets
             no path to suite or scene, and starts in an empty folder.
         profile: default, paper, gn0-release (the official harness beside ours), vlnce (the body of
-            VLN-CE's own task), or evt (following judged by EVT-Bench's numbers); by default what the suite says.
+            VLN-CE's own task), or evt (following judged by EVT-Bench's numbers); by default what
+            the suite says.
         control: take something away from the policy: its words (no_words: every text is "go"), its
             own words (shuffled: another episode's of the scene), or its pictures (no_pictures:
             black); part of the run's identity.

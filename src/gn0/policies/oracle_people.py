@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Place = tuple[float, float]
 Planner = Callable[[NavigationMap], list[Action]]
 
+ON_TIME = 1e-6  # m: a person nearer to its track than this walks as if alone
 STILL = 1.0  # s without moving, and somebody is stood round, not waited for
 AROUND = 4.0  # m: people beyond that are nobody to go round
 WAITS = 3  # times that it waits for somebody, two actions each, before it goes round
@@ -74,11 +75,10 @@ class FollowingOracle:
         """
         simulator = self._simulator
         places = [(float(x), float(y)) for x, y in simulator.company.places.tolist()]
-        person: Place | None = places.pop(self._row)
+        person = places.pop(self._row)
         tick = min(round(simulator.time * TICKS_A_SECOND), len(self._track) - 1)
-        if person == tuple(self._track[tick].tolist()):  # nothing held it up
-            person = None
-        action = self._oracle.act(simulator.pose, simulator.time, places, person)
+        late = math.dist(person, self._track[tick].tolist()) >= ON_TIME  # somebody held it up
+        action = self._oracle.act(simulator.pose, simulator.time, places, person if late else None)
         if action == Action.FORWARD and meets_somebody(simulator):
             action = Action.STOP
         if action == Action.STOP and self._stop_ends:

@@ -101,15 +101,17 @@ class PolicyOracle:
 
     def _replan(self) -> None:
         assert self._simulator is not None
-        self._plan = deque(self._plan_on(self._simulator.navigation))
+        self._plan = deque(self._plan_on(self._simulator.navigation, None))
         self._expected = self._simulator.pose
 
-    def _plan_on(self, navigation: NavigationMap) -> list[Action]:
-        """The actions from here to the goal on a map."""
+    def _plan_on(
+        self, navigation: NavigationMap, place: tuple[float, float] | None
+    ) -> list[Action]:
+        """The actions from here to a place, or to the goal with None, on a map."""
         simulator = self._simulator
         assert simulator is not None
         pose = simulator.pose
-        field = navigation.geodesic(self._destination())
+        field = navigation.geodesic(place or self._destination())
         try:
             plan = plan_actions(
                 field,

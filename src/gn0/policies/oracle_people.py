@@ -19,6 +19,7 @@ from gn0.errors import PlanError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import TICKS_A_SECOND
 from gn0.missions.generate.follow_sight import sight_grid
+from gn0.paper import SUCCESS_RADIUS
 from gn0.sim.state import Action
 
 if TYPE_CHECKING:
@@ -28,13 +29,15 @@ if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
 
 Place = tuple[float, float]
-Planner = Callable[[NavigationMap], list[Action]]
+Planner = Callable[[NavigationMap, Place | None], list[Action]]
 
 ON_TIME = 1e-6  # m: a person nearer to its track than this walks as if alone
 STILL = 1.0  # s without moving, and somebody is stood round, not waited for
 AROUND = 4.0  # m: people beyond that are nobody to go round
 WAITS = 3  # times that it waits for somebody, two actions each, before it goes round
 DETOUR = 4.0  # s for which who was waited for in vain counts as standing
+MARGINS = (MARGIN, 0.0, -0.05)  # m: beyond people's discs, as far as there is room for it
+BACK, PAUSE = 1.5, 12  # m that it goes back the first time, actions that it then waits
 CLOSE = 1.5  # m of walking left where it is enough to be, if somebody stands at the goal itself
 
 
@@ -103,9 +106,12 @@ class SightOf:
 class GoalAmongPeople:
     """Walks plans to a goal among people: waits by turning to and fro, and goes round who stands.
 
+    Where nobody gives way it goes back on its own trail, farther each time, and lets them pass.
+
     Args:
         simulator: the episode's.
-        plan: the actions from the agent's pose of now to the goal, on a map.
+        plan: the actions from the agent's pose of now to a place, or to the goal with None, on a
+            map.
     """
 
     def __init__(self, simulator: Simulator, plan: Planner) -> None:
@@ -114,7 +120,10 @@ class GoalAmongPeople:
         self._expected: Pose2D | None = None
         self._where: list[tuple[Place, float]] = []  # where each is, since when
         self._around: tuple[Place, ...] = ()
-        self._waited = 0
+        self._trail: list[Place] = []
+        self._back: Place | None = None  # where it goes back to
+        self._pause = 0
+        self._waited = self._stuck = 0
         self._in_vain: dict[int, float] = {}  # who was waited for, until when it counts as standing
 
     def act(self) -> Action:
@@ -124,10 +133,17 @@ class GoalAmongPeople:
             PlanError: the goal cannot be reached, people or no people.
         """
         simulator = self._simulator
+        self._note_trail()
         standing = self._standing()
+        if self._pause:
+            self._pause, self._expected = self._pause - 1, None
+            return Action.RIGHT if self._pause % 2 else Action.LEFT
         off = self._expected is None or not np.allclose(self._expected, simulator.pose, atol=1e-6)
         if off or standing != self._around:
             self._replan(standing)
+        if not self._plan and self._back is not None:  # far enough: let them pass
+            self._back, self._pause = None, PAUSE
+            return Action.LEFT
         if not self._plan:
             return Action.STOP
         action = self._plan[0]
@@ -139,14 +155,32 @@ class GoalAmongPeople:
         else:
             self._waited += 1
             if self._waited >= WAITS:
-                self._in_vain[hit.number] = simulator.time + DETOUR
-                self._waited = 0
                 if self._is_close():
                     return Action.STOP
+                self._lose_patience(hit.number)
             action = Action.LEFT
             self._plan.appendleft(Action.RIGHT)
         self._expected = simulator.pose_after(action)
         return action
+
+    def _note_trail(self) -> None:
+        here = (self._simulator.pose.x, self._simulator.pose.y)
+        if self._back is None and (not self._trail or math.dist(here, self._trail[-1]) > 0.2):
+            self._trail.append(here)
+
+    def _lose_patience(self, person: int) -> None:
+        """Go round who does not move on; and at the third time where it is, go back."""
+        simulator = self._simulator
+        here = (simulator.pose.x, simulator.pose.y)
+        self._in_vain[person] = simulator.time + DETOUR
+        self._waited, self._stuck = 0, self._stuck + 1
+        self._back = None
+        if self._stuck % 2 == 0:
+            far = BACK * self._stuck / 2
+            places = [place for place in self._trail if math.dist(place, here) >= far]
+            self._back = places[-1] if places else self._trail[0]
+            self._trail = self._trail[: self._trail.index(self._back) + 1]
+            self._expected = None
 
     def _standing(self) -> tuple[Place, ...]:
         """Where people are whom it does not wait for."""
@@ -168,19 +202,20 @@ class GoalAmongPeople:
     def _replan(self, standing: tuple[Place, ...]) -> None:
         simulator = self._simulator
         self._around = standing
-        if standing:
-            radius = simulator.company.radius + MARGIN
-            walked = people_map(simulator.navigation, standing, radius)
-            if walked.is_free(simulator.pose.x, simulator.pose.y):
-                try:
-                    self._plan = deque(self._planner(walked))
-                    return
-                except PlanError:  # shut in by people: wait for them
-                    pass
-        self._plan = deque(self._planner(simulator.navigation))
+        for margin in MARGINS if standing else ():
+            walked = people_map(simulator.navigation, standing, simulator.company.radius + margin)
+            if not walked.is_free(simulator.pose.x, simulator.pose.y):
+                continue
+            try:
+                self._plan = deque(self._planner(walked, self._back))
+                return
+            except PlanError:  # shut in by people: wait for them
+                continue
+        self._plan = deque(self._planner(simulator.navigation, self._back))
 
     def _is_close(self) -> bool:
         simulator = self._simulator
-        field = simulator.navigation.geodesic(simulator.episode.destination)
-        pose = simulator.pose
-        return bool(field.distance_at(pose.x, pose.y) <= CLOSE)
+        episode, pose = simulator.episode, simulator.pose
+        near = min(CLOSE, 0.9 * episode.success_within(SUCCESS_RADIUS))
+        field = simulator.navigation.geodesic(episode.destination)
+        return bool(field.distance_at(pose.x, pose.y) <= near)

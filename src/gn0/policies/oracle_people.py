@@ -6,6 +6,7 @@ would cut short. So they touch nobody; what people can cost them is time.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable
@@ -37,7 +38,8 @@ AROUND = 4.0  # m: people beyond that are nobody to go round
 WAITS = 3  # times that it waits for somebody, two actions each, before it goes round
 DETOUR = 4.0  # s for which who was waited for in vain counts as standing
 MARGINS = (MARGIN, 0.0, -0.05)  # m: beyond people's discs, as far as there is room for it
-BACK, PAUSE = 1.5, 12  # m that it goes back the first time, actions that it then waits
+ASIDE = 6.0  # m that it goes at most to be out of somebody's way
+BACK, PAUSE = 1.5, 12  # m that it goes back else, actions that it then waits
 CLOSE = 1.5  # m of walking left where it is enough to be, if somebody stands at the goal itself
 
 
@@ -106,7 +108,7 @@ class SightOf:
 class GoalAmongPeople:
     """Walks plans to a goal among people: waits by turning to and fro, and goes round who stands.
 
-    Where nobody gives way it goes back on its own trail, farther each time, and lets them pass.
+    Where nobody gives way it goes out of theirs, knowing it, and lets them pass.
 
     Args:
         simulator: the episode's.
@@ -176,11 +178,45 @@ class GoalAmongPeople:
         self._waited, self._stuck = 0, self._stuck + 1
         self._back = None
         if self._stuck % 2 == 0:
-            far = BACK * self._stuck / 2
-            places = [place for place in self._trail if math.dist(place, here) >= far]
-            self._back = places[-1] if places else self._trail[0]
-            self._trail = self._trail[: self._trail.index(self._back) + 1]
+            self._back = self._find_aside(person, here)
             self._expected = None
+
+    def _find_aside(self, person: int, here: Place) -> Place:
+        """The nearest place off a person's way that it reaches without passing it.
+
+        Where there is none, a piece back on the trail.
+        """
+        from scipy.ndimage import distance_transform_edt  # slow to import, and rarely needed
+
+        company, navigation = self._simulator.company, self._simulator.navigation
+        row = next(k for k, each in enumerate(company.people) if each.number == person)
+        grid, way = navigation.inflated, np.array(company.people[row].path, np.float64)
+        pieces = np.concatenate(
+            [a + (b - a) * np.linspace(0, 1, 41)[:, None] for a, b in itertools.pairwise(way)]
+            or [way]
+        )
+        on_way = np.ones(grid.shape, np.bool_)
+        rows = ((pieces[:, 1] - grid.origin[1]) / grid.resolution).astype(np.int64)
+        cols = ((pieces[:, 0] - grid.origin[0]) / grid.resolution).astype(np.int64)
+        on_way[rows.clip(0, grid.shape[0] - 1), cols.clip(0, grid.shape[1] - 1)] = False
+        aside = company.radius + self._simulator.agent.radius + MARGIN
+        found = distance_transform_edt(on_way) * grid.resolution >= aside
+        found &= ~grid.blocked.astype(np.bool_)
+        there = company.places[row].tolist()
+        walked = people_map(navigation, [(there[0], there[1])], company.radius - grid.resolution)
+        walked = walked if walked.is_free(*here) else navigation
+        if found.any():
+            y, x = np.nonzero(found)
+            points = np.column_stack([x, y]) * grid.resolution + grid.origin
+            points += grid.resolution / 2
+            far = walked.geodesic(here, keep=False).distance(points)
+            best = int(np.argmin(np.where(np.isfinite(far), far, np.inf)))
+            if math.isfinite(far[best]) and far[best] <= ASIDE:
+                return float(points[best, 0]), float(points[best, 1])
+        places = [place for place in self._trail if math.dist(place, here) >= BACK]
+        back = places[-1] if places else self._trail[0]
+        self._trail = self._trail[: self._trail.index(back) + 1]
+        return back
 
     def _standing(self) -> tuple[Place, ...]:
         """Where people are whom it does not wait for."""

@@ -94,7 +94,7 @@ class FollowReferee:
             raise EpisodeError(
                 "its mission does not say whom to follow, and nobody walks ahead",
                 where=f"episode {episode.id!r}",
-                remedy="make the suite with `gn0 missions generate --missions follow`",
+                remedy="make the suite with `gn0 missions generate --types follow`",
             )
         self.simulator, self.rules, self.person = simulator, rules, person
         camera = simulator.config.preset.rgb

@@ -62,7 +62,7 @@ class PolicyStraightAtPerson:
             raise PolicyError(
                 "straight_at_the_person has nobody to run at: the mission follows no person",
                 where=f"episode {simulator.episode.id!r}",
-                remedy="give a suite made with `gn0 missions generate --missions follow`",
+                remedy="give a suite made with `gn0 missions generate --types follow`",
             )
         self._simulator = simulator
         self._row = simulator.episode.people.index(person)

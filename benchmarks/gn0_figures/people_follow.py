@@ -108,7 +108,7 @@ def measure_missions(ctx: FigureContext) -> list[FigureRow]:
         row_at_most("CR of the references", 100 * summary["CR"].mean, 0.0, "%"),
         FigureRow(
             name="distance off d", value=summary["distance_error"].mean, unit="m",
-            detail=f"d between 1.0 and 2.0 m; off the heading by {summary['bearing'].value:.1f}°",
+            detail=f"d between 1.0 and 2.0 m; off the heading by {summary['bearing'].mean:.1f}°",
         ),
     ]  # fmt: skip
 

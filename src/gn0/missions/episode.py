@@ -257,7 +257,8 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
         scene_id: the scene it belongs to.
         mission: what to do.
         start: pose at reset.
-        path: reference path [(x, y) m] that nDTW scores, start first; our own end at the goal.
+        path: reference path [(x, y) m] that nDTW scores, start first; our own end at the goal, or
+            where the reference of a mission to follow somebody ends.
         split: train, val, test, …
         seed: seed of everything random in this episode.
         agent: embodiment it was planned for.

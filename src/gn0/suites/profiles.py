@@ -3,7 +3,8 @@
 `default` is what this package stands for; `paper` reports the straight distance as NE;
 `gn0-release` reproduces the official harness beside it; `vlnce` gives each VLN-CE set the body of
 its own task; `evt` judges following by EVT-Bench's own numbers, with its camera. A profile is part
-of a suite's hash, hence of a run's identity: numbers of two profiles are never compared by accident.
+of a suite's hash, hence of a run's identity: numbers of two profiles are never compared by
+accident.
 """
 
 from __future__ import annotations

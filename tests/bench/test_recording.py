@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from gn0.bench.compare import compare_runs
-from gn0.bench.replay import recorded_actions, replay_run
+from gn0.bench.replay import replay_run
 from gn0.bench.report import load_run, write_report
+from gn0.bench.results import recorded_actions
 from gn0.bench.runner import run_suite
 from gn0.bench.standing import tell_standings
 from gn0.bench.walk_recording import HUMAN, open_recorder, shown_sensors

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gn0.bench.replay import recorded_actions
 from gn0.bench.report import load_run
+from gn0.bench.results import recorded_actions
 from gn0.bench.runner import run_suite
 from gn0.bench.walk_recording import open_recorder
 from gn0.cli.main import main

@@ -225,16 +225,16 @@ def test_people_on_a_map_are_obstacles_for_the_agents_disc() -> None:
 def test_the_policy_reads_pictures_and_refuses_what_does_not_fit() -> None:
     stage = somebody(2.4, 0.0)
     people, rgb = stage.look()
-    policy = PolicyBoxFollower()
+    policy = PolicyBoxFollower("follower_small")
     policy.reset("Follow her.", np.random.default_rng(0))
-    seen = Observation(step=0, time=0.0, instruction="", rgb=rgb, more={"people": people})
+    seen = Observation(step=0, time=0.0, instruction="", rgb=rgb, more={"who": people})
     assert policy.act(seen) == Action.FORWARD
     blank = Observation(step=0, time=0.0, instruction="", rgb=rgb)
     with pytest.raises(PolicyError, match="person picture"):
         policy.act(blank)
     policy.reset("Follow her.", np.random.default_rng(0))
     nobody = Observation(
-        step=0, time=0.0, instruction="", rgb=rgb, more={"people": np.zeros_like(people)}
+        step=0, time=0.0, instruction="", rgb=rgb, more={"who": np.zeros_like(people)}
     )
     assert policy.act(nobody) == Action.STOP
 

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.bench.follow_metrics import FollowMetrics
+from gn0.bench.people_replay import PeopleReplay, PeopleThen
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import RenderError
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.missions.episode import Episode
 from gn0.render.bev import BevPicture
 from gn0.render.camera import Camera
+from gn0.render.instance import Parts
 from gn0.render.renderer import SceneRenderer
 from gn0.render.video import VP9, encode_video
 from gn0.sim.presets import CameraPreset
@@ -58,12 +61,14 @@ class ClipScene:
         bev: the map picture.
         preset: the agent's eyes.
         camera_height: eye above the floor [m].
+        people: plays the people of an episode again; None where they are not shown.
     """
 
     renderer: SceneRenderer
     bev: BevPicture
     preset: CameraPreset
     camera_height: float
+    people: PeopleReplay | None = None
 
 
 def clip_camera(camera: Camera, height: int = VIEW_HEIGHT) -> Camera:
@@ -116,18 +121,27 @@ def render_clip(
     if not trace.poses:
         raise RenderError(f"episode {episode.id!r} has no poses to show")
     indices = choose_frames(len(trace.poses), most_frames)
-    views = render_eyes(
-        scene.renderer, scene.preset, scene.camera_height, [trace.poses[i] for i in indices]
-    )
+    poses = [trace.poses[i] for i in indices]
+    views, there = [], []
+    if scene.people is None or not episode.people:
+        views = render_eyes(scene.renderer, scene.preset, scene.camera_height, poses)
+    else:
+        focal = clip_camera(scene.preset.rgb).fx
+        shown = scene.people.play(episode, trace, indices, focal)
+        for pose, people in zip(poses, shown, strict=True):
+            there.append(people)
+            views += render_eyes(
+                scene.renderer, scene.preset, scene.camera_height, [pose], parts=people.parts
+            )
     backdrop = _MapPainter(scene.bev, episode, np.array(trace.poses)[:, :2])
     hits = set(trace.collided)
     frames = []
-    for index, view in zip(indices, views, strict=True):
+    for number, (index, view) in enumerate(zip(indices, views, strict=True)):
         over = index == len(trace.poses) - 1
         frames.append(
             _compose(
                 view,
-                backdrop.paint(index, trace.poses[index][2]),
+                backdrop.paint(index, trace.poses[index][2], there[number] if there else None),
                 title,
                 episode.instruction,
                 _caption(index, trace, hits, result if over else None),
@@ -152,6 +166,8 @@ def render_eyes(
     camera_height: float,
     poses: Sequence[tuple[float, float, float]],
     height: int = VIEW_HEIGHT,
+    *,
+    parts: Parts = (),
 ) -> list[U8]:
     """What the agent's camera sees from each pose x, y [m], yaw [rad]: uint8 [height, W, 3].
 
@@ -161,17 +177,20 @@ def render_eyes(
         camera_height: eye above the floor [m].
         poses: from where.
         height: of the pictures [px]; their width follows.
+        parts: people, and whatever else is there in all of them.
     """
     camera = clip_camera(preset.rgb, height)
     pitch = float(np.radians(preset.pitch_degrees))
     views = np.stack([view_from_pose(x, y, camera_height, yaw, pitch) for x, y, yaw in poses])
     pictures: list[U8] = []
+    more: dict[str, Any] = {"parts": parts} if parts else {}
     for begin in range(0, len(views), BATCH):
         result = renderer.render(
             camera,
             views[begin : begin + BATCH],
             outputs=("rgb",),
             background=preset.background,
+            **more,
         )
         assert result.rgb is not None
         pictures += [np.asarray(picture, np.uint8) for picture in result.rgb]
@@ -213,22 +232,28 @@ class _MapPainter:
         self._top = (VIEW_HEIGHT - small.height) // 2
         self._canvas.paste(small, (0, self._top))
         self._scale = np.array([width / picture.width, small.height / picture.height])
-        self._spots = self._place(bev, positions)
+        self._bev, self._spots = bev, self._place(bev, positions)
         draw = ImageDraw.Draw(self._canvas)
         reference = self._place(bev, np.array(episode.path, np.float64).reshape(-1, 2))
         draw.line([tuple(p) for p in reference], fill=PLAN, width=1)
         x, y = self._place(bev, np.array([episode.goal]))[0]
+        if episode.followed is not None:
+            return  # the person itself is shown
         draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline=PAPER, fill=GOOD)
 
     def _place(self, bev: BevPicture, points: F64) -> F64:
         return bev.pixel_from_world(points) * self._scale + (0, self._top)
 
-    def paint(self, index: int, yaw: float) -> U8:
-        """The map with the trail up to a pose and an arrow at it."""
+    def paint(self, index: int, yaw: float, people: PeopleThen | None = None) -> U8:
+        """The map with the trail up to a pose, an arrow at it, and where people are."""
         picture = self._canvas.copy()
         draw = ImageDraw.Draw(picture)
         if index > 0:
             draw.line([tuple(p) for p in self._spots[: index + 1]], fill=TRAIL, width=2)
+        if people is not None:
+            for k, (x, y) in enumerate(self._place(self._bev, people.places)):
+                fill = GOOD if k == people.target else MUTED
+                draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=PAPER, fill=fill)
         x, y = self._spots[index]
         turn = yaw + np.array([0.0, 2.5, -2.5])
         corners = [

@@ -17,6 +17,7 @@ import msgspec
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.bench.worker_messages import Begun, Done, FromWorker, Lease, Open, Parted
 from gn0.errors import EpisodeError, PlanError
+from gn0.missions.episode import MissionFollow
 from gn0.sim.policy import Policy, PolicyBatch, PolicyBatchEach, PolicyNotes
 from gn0.sim.rollout_batch import RolloutBatch, open_agents, why_alone
 from gn0.suites.profiles import RELEASE
@@ -123,6 +124,9 @@ class EpisodeGroup:
             if not self._rollout.free:
                 return
             self._waiting.popleft()
+            if lease.episode.people or isinstance(lease.episode.mission, MissionFollow):
+                self._send(Parted(episode=lease.episode.id))  # a batch has no people
+                continue
             try:
                 self._rollout.begin([lease.episode])
             except (EpisodeError, PlanError):  # alone it says what is wrong, as ever

@@ -20,7 +20,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from gn0.bench.company_watch import CompanyWatch, FollowReferee
 from gn0.bench.episode_group import EpisodeGroup, why_one
+from gn0.bench.follow_metrics import compute_follow_metrics
+from gn0.bench.follow_record import FollowRecord
+from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.identity import digest_policy, read_identity
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.release_score import PolicyUnderRelease, score_release
@@ -40,7 +44,9 @@ from gn0.errors import DeviceError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.release_map import ReleaseNavigation
-from gn0.missions.episode import mission_name
+from gn0.missions.episode import MissionFollow, mission_name
+from gn0.missions.follow_rules import FollowRules, follow_rules
+from gn0.missions.generate.follow_sight import sight_grid
 from gn0.plugins import build_plugin, describe_error, get_plugin
 from gn0.render.open import name_drawing
 from gn0.render.share.client import DrawConnection, RendererShared
@@ -63,6 +69,7 @@ from gn0.suites.scene_drawing import Look, needs_renderer
 from gn0.suites.suite import load_suite_scene
 
 if TYPE_CHECKING:
+    from gn0.maps.grid import OccupancyGrid
     from gn0.missions.episode import Episode
     from gn0.render.light import LightCondition
     from gn0.render.renderer import DrawnScene
@@ -74,10 +81,20 @@ LABELS_TOLD = "labels of the scene"  # beside the sensors of who is shown painte
 
 
 class EpisodeWorker:
-    """Runs episodes of one policy; a scene is loaded once and kept until another is needed."""
+    """Runs episodes of one policy; a scene is loaded once and kept until another is needed.
 
-    def __init__(self, settings: Open, policy: Policy | None = None) -> None:
-        self.settings = settings
+    Args:
+        settings: of the run.
+        policy: who acts; by default that of the settings is built.
+        by_pictures: who is followed is told by the agent's picture; else by bearing and line of
+            sight, which is quick and is no score (`docs/following.md`).
+    """
+
+    def __init__(
+        self, settings: Open, policy: Policy | None = None, *, by_pictures: bool = True
+    ) -> None:
+        self.settings, self._by_pictures = settings, by_pictures
+        self._sight: tuple[str, OccupancyGrid] | None = None
         self._dark = settings.control == "no_pictures"  # texts are in the leases
         self._source = ""
         self._isolated = 0  # processes of policies so far
@@ -157,7 +174,7 @@ class EpisodeWorker:
         same = self._scene is not None and self._scene.id == scene_id
         same = same and self._hash == expected_hash
         carried = frozenset(self.policy.sensors) if sensors is None else sensors
-        seen_so = self._light == light and self._carried == carried
+        seen_so = self._light == light and carried <= self._carried
         if self._simulator is None or self._scene is None or not same or not seen_so:
             if self._scene is None or not same:
                 self._simulator = self._scene = None  # let go before loading the next
@@ -182,6 +199,7 @@ class EpisodeWorker:
                 renderer=self._ask_for(carried, Look(str(folder), scene_id, expected_hash, light)),
                 one_step_moves=s.profile in ONE_STEP_PROFILES,
                 map_view=getattr(self.policy, "map_view", None),
+                person_radius=follow_rules(s.profile).person_radius,
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
             self._hash, self._light, self._carried = expected_hash, light, carried
@@ -203,12 +221,23 @@ class EpisodeWorker:
         """
         if self._release is not None and self._honest is not None:
             result, trace = self._run_release(simulator, episode, self._release, self._honest)
+        elif isinstance(episode.mission, MissionFollow):
+            result, trace = self._run_following(simulator, episode)
         else:
+            watch = CompanyWatch(simulator) if episode.people else None
             try:
-                trajectory = run_episode(simulator, self.policy, episode, dark=self._dark)
+                trajectory = run_episode(
+                    simulator, self.policy, episode, dark=self._dark, watch=watch
+                )
             except EpisodeError as error:
                 return _invalid(episode, error), EpisodeTrace(episode=episode.id)
             result, trace = self.score_walk(trajectory, episode, simulator.navigation)
+            if watch is not None:
+                if result.status == "valid":
+                    result = msgspec.structs.replace(result, touches=len(watch.touches))
+                trace = msgspec.structs.replace(
+                    trace, touches=tuple(watch.touches), people=watch.digest
+                )
         if isinstance(self.policy, PolicyNotes) and (notes := self.policy.notes()):
             result = msgspec.structs.replace(result, notes=dict(sorted(notes.items())))
         return result, trace
@@ -218,6 +247,39 @@ class EpisodeWorker:
     ) -> tuple[EpisodeResult, EpisodeTrace]:
         """Result and trace of a walk on that ground."""
         return score(trajectory, episode, navigation, self.settings.success_radius)
+
+    def carried(self, episode: Episode) -> frozenset[str]:
+        """What the agent carries in an episode: what the policy reads, and what scores need.
+
+        Who is followed is judged by the picture, whether the policy sees it or not.
+        """
+        judged = isinstance(episode.mission, MissionFollow) and self._by_pictures
+        return frozenset(self.policy.sensors) | ({"people_seen"} if judged else set())
+
+    def _find_sight(self, simulator: Simulator) -> OccupancyGrid | None:
+        if self._by_pictures:
+            return None
+        if self._sight is None or self._sight[0] != self._hash:
+            eye = self.settings.agent.camera_height
+            self._sight = self._hash, sight_grid(simulator.scene, eye)
+        return self._sight[1]
+
+    def _run_following(
+        self, simulator: Simulator, episode: Episode
+    ) -> tuple[EpisodeResult, EpisodeTrace]:
+        """Run an episode of following until its rules end it, and score it."""
+        rules = follow_rules(self.settings.profile)
+        most = min(rules.max_steps, self.settings.max_steps)
+        rules = msgspec.structs.replace(rules, max_steps=most)
+        try:
+            referee = FollowReferee(simulator, episode, rules, self._find_sight(simulator))
+            trajectory = run_episode(
+                simulator, self.policy, episode, dark=self._dark, watch=referee
+            )
+        except EpisodeError as error:
+            return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+        trajectory = dataclasses.replace(trajectory, stopped=referee.end == "stop")
+        return score_following(trajectory, referee.record(), episode, rules)
 
     def _run_release(
         self,
@@ -294,6 +356,29 @@ def score(
         mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
     )
     return result, EpisodeTrace.of(episode.id, trajectory)
+
+
+def score_following(
+    trajectory: Trajectory, record: FollowRecord, episode: Episode, rules: FollowRules
+) -> tuple[EpisodeResult, EpisodeTrace]:
+    """Result and trace of a finished episode of following."""
+    trace = EpisodeTrace.of(episode.id, trajectory)
+    trace = msgspec.structs.replace(trace, follow=FollowTrace.of(record))
+    try:
+        scored = compute_follow_metrics(record, rules, where=f"episode {episode.id!r}")
+    except EpisodeError as error:
+        return _invalid(episode, error), trace
+    result = EpisodeResult(
+        episode=episode.id,
+        scene=episode.scene_id,
+        status="valid",
+        stopped=trajectory.stopped,
+        follow=scored,
+        moves=Moves.of(trajectory) or msgspec.UNSET,
+        path=episode.path_id or msgspec.UNSET,
+        mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
+    )
+    return result, trace
 
 
 def _invalid(episode: Episode, error: EpisodeError | PlanError) -> EpisodeResult:
@@ -385,8 +470,9 @@ def _serve(worker: EpisodeWorker, lease: Lease, send: Callable[[FromWorker], Non
     episode = lease.episode
     try:
         simulator = worker.open_scene(
-            Path(lease.folder), episode.scene_id, lease.hash, episode.light
-        )
+            Path(lease.folder), episode.scene_id, lease.hash, episode.light,
+            worker.carried(episode),
+        )  # fmt: skip
     except Exception as error:
         fatal = isinstance(error, Gn0Error)
         text = str(error) if fatal else describe_error(error)
@@ -403,8 +489,7 @@ def _serve(worker: EpisodeWorker, lease: Lease, send: Callable[[FromWorker], Non
         text = str(error) if lost else describe_error(error)
         send(Broke(episode=episode.id, what=text, traceback=trace, fatal=lost))
         return
-    steps = result.metrics.steps if result.metrics else 0
-    send(Done(result=result, trace=trace_, seconds=time.perf_counter() - begin, steps=steps))
+    send(Done(result=result, trace=trace_, seconds=time.perf_counter() - begin, steps=result.steps))
 
 
 if __name__ == "__main__":

@@ -104,6 +104,11 @@ class FollowRecorder:
         if arrived:
             self._over_at = min(self._over_at, sum(self._costs) * self._settings[0])
 
+    @property
+    def over_at(self) -> float:
+        """When the track of the person to follow was over [s]; infinity while it is not."""
+        return self._over_at
+
     def _note(
         self,
         pose: Pose2D,

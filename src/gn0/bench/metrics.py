@@ -97,6 +97,12 @@ METRICS: tuple[MetricInfo, ...] = tuple(
     )
 )  # fmt: skip
 
+TOUCHED = MetricInfo(
+    key="CR", field="touches", title="episodes in which a move met a person", unit="%",
+    better="down",
+)  # fmt: skip
+"""Of runs with people, beside the others; in `EpisodeResult.touches`, as a walk does not tell."""
+
 
 @njit
 def _dtw(path: F64, reference: F64) -> float:  # [N, 2], [M, 2] m

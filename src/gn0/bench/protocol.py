@@ -26,7 +26,9 @@ from gn0.version import source_version
 _DECIDING = (
     "geometry.py", "paper.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim",
     "policies", "bench/metrics.py", "bench/release_score.py", "bench/episode_worker.py",
-    "bench/episode_group.py", "device/kernels",
+    "bench/episode_group.py", "bench/company_watch.py", "bench/follow_metrics.py",
+    "bench/follow_recorder.py", "data/follow.py", "data/follow_oracle.py", "data/follow_search.py",
+    "data/follow_reference.py", "people", "avatars", "device/kernels",
 )  # fmt: skip
 
 

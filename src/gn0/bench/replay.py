@@ -22,7 +22,13 @@ import numpy as np
 from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
-from gn0.bench.results import EpisodeResult, EpisodeTrace, aggregate, encode_line
+from gn0.bench.results import (
+    EpisodeResult,
+    EpisodeTrace,
+    aggregate,
+    encode_line,
+    recorded_actions,
+)
 from gn0.bench.run_settings import HIDDEN, build_settings
 from gn0.bench.runner import run_suite
 from gn0.bench.worker_messages import Open
@@ -30,7 +36,6 @@ from gn0.errors import BenchError, Gn0Error, brief
 from gn0.plugins import SECRETS, describe_error
 from gn0.progress import Progress, no_progress
 from gn0.render.renderer import VISIBLE_BACKENDS
-from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import Action, Observation, Teleport
 from gn0.storage import read_bytes, safe_join
 from gn0.suites.run_files import RESULTS, TRAJECTORIES
@@ -151,16 +156,6 @@ class PolicyReplay:
         return action
 
 
-def recorded_actions(trace: EpisodeTrace) -> Iterator[Action | Teleport]:
-    """The actions of a trace, teleports with the pose that they asked for."""
-    asked = iter(trace.teleports)
-    for index, code in enumerate(trace.actions):
-        if code != TELEPORT_CODE:
-            yield Action(code)
-        else:
-            yield Teleport(*next(asked, trace.poses[index + 1]))
-
-
 def replay_run(
     run: Path | str,
     suite: Path | str | None = None,
@@ -203,6 +198,7 @@ def replay_run(
             episode.scene_id,
             home.scene_hash(episode.scene_id),
             episode.light,
+            worker.carried(episode),
         )
         policy.trace = data.traces[name]
         try:

@@ -28,7 +28,8 @@ from gn0.bench.breakdown import Bar, split_categories, split_lengths, split_tier
 from gn0.bench.episode_clip import ClipScene, render_clip
 from gn0.bench.follow_metrics import FOLLOW_METRICS, FollowMetrics, score_steps
 from gn0.bench.intervals import Interval
-from gn0.bench.metrics import METRICS
+from gn0.bench.metrics import METRICS, TOUCHED
+from gn0.bench.people_replay import PeopleReplay
 from gn0.bench.release_score import SIDE_BY_SIDE
 from gn0.bench.report_follow import END_WORDS, distance_strip, follow_line, track_marks
 from gn0.bench.report_maps import (
@@ -59,6 +60,7 @@ from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import build_renderer
+from gn0.render.renderer import DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
@@ -250,6 +252,8 @@ def _render(
     shown = [row for row in rows if row["video"]]
     for clip_number, row in enumerate(shown):
         row["clip"] = clip_number
+    among = any(TOUCHED.key in run.summary.metrics for run in runs)
+    columns = (*METRICS, TOUCHED) if among else METRICS
     return _fill(
         suite=suite,
         runs=[
@@ -257,14 +261,14 @@ def _render(
                 "number": number,
                 "name": names[number],
                 "summary": run.summary,
-                "cells": [_cell(info.key, info.unit, run.summary.metrics) for info in METRICS],
+                "cells": [_cell(info.key, info.unit, run.summary.metrics) for info in columns],
                 "following": _following_cells(run.summary),
                 "seconds": run.about.get("seconds"),
                 "failures": Counter(r.status for r in run.summary.failed),
             }
             for number, run in enumerate(runs)
         ],
-        metrics=METRICS,
+        metrics=columns,
         follow_metrics=FOLLOW_METRICS,
         groups=[
             {
@@ -365,6 +369,7 @@ def draw_scene(suite: Suite, scene_id: str, index: int, scenes: int, backend: st
             bev=draw_bev(scene, renderer, window, pixels, light),
             preset=find_preset(suite.about.camera),
             camera_height=suite.about.agent.camera_height,
+            people=PeopleReplay(scene, DrawnScene(renderer), light, suite.about.profile),
         )
 
     names = f"bev-{index}", f"plan-{index}"
@@ -552,7 +557,7 @@ def _best(runs: Sequence[RunData]) -> dict[str, float]:
     Only runs that were told alike are given.
     """
     best: dict[str, float] = {}
-    for info in METRICS:
+    for info in (*METRICS, TOUCHED):
         means = [m[info.key].mean for m in (r.summary.metrics for r in runs) if info.key in m]
         if len(means) > 1 and info.better and max(means) > min(means):
             best[info.key] = max(means) if info.better == "up" else min(means)

@@ -20,14 +20,14 @@ from gn0.bench.follow_metrics import FollowMetrics, summarize_following
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.intervals import Interval, bootstrap_interval
-from gn0.bench.metrics import METRICS, EpisodeMetrics
+from gn0.bench.metrics import METRICS, TOUCHED, EpisodeMetrics
 from gn0.bench.release_score import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
 from gn0.missions.controls import Control
 from gn0.sim.rollout import TELEPORT_CODE
-from gn0.sim.state import MapMode, Trajectory
+from gn0.sim.state import Action, MapMode, Teleport, Trajectory
 from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
 from gn0.suites.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.suites.track import Standing
@@ -89,6 +89,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         mission: its mission where it has a path: "goal", "instruction/detailed", …
         moves: its Teleports and Displacements; absent when there were none.
         follow: scores of following, in an episode of following.
+        touches: moves of the agent that a person cut short, in any other episode with people.
     """
 
     episode: str
@@ -103,6 +104,14 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     mission: str | msgspec.UnsetType = msgspec.UNSET
     moves: Moves | msgspec.UnsetType = msgspec.UNSET
     follow: FollowMetrics | msgspec.UnsetType = msgspec.UNSET
+    touches: int | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def steps(self) -> int:
+        """Steps that were scored; 0 without a score."""
+        if isinstance(self.follow, FollowMetrics):
+            return self.follow.steps
+        return 0 if self.metrics is None else self.metrics.steps
 
     @property
     def success(self) -> bool | None:
@@ -126,6 +135,9 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         teleports: (x, y, yaw) that the teleports asked for, in order.
         costs: steps that each action took; not there where each took one.
         follow: tracks of people and who was seen, in an episode of following.
+        touches: in any other episode with people: (index of an action that one cut short, number of
+            the person).
+        people: in the same: digest of everybody's places after reset and after each action.
     """
 
     episode: str
@@ -135,6 +147,8 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     teleports: tuple[tuple[float, float, float], ...] = ()
     costs: tuple[int, ...] | msgspec.UnsetType = msgspec.UNSET
     follow: FollowTrace | msgspec.UnsetType = msgspec.UNSET
+    touches: tuple[tuple[int, int], ...] | msgspec.UnsetType = msgspec.UNSET
+    people: str | msgspec.UnsetType = msgspec.UNSET
 
     @classmethod
     def of(cls, episode_id: str, trajectory: Trajectory) -> EpisodeTrace:
@@ -173,6 +187,16 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 def _plain(poses: Iterable[Pose2D]) -> tuple[tuple[float, float, float], ...]:
     return tuple((float(p.x), float(p.y), float(p.yaw)) for p in poses)
+
+
+def recorded_actions(trace: EpisodeTrace) -> Iterator[Action | Teleport]:
+    """The actions of a trace, teleports with the pose that they asked for."""
+    asked = iter(trace.teleports)
+    for index, code in enumerate(trace.actions):
+        if code != TELEPORT_CODE:
+            yield Action(code)
+        else:
+            yield Teleport(*next(asked, trace.poses[index + 1]))
 
 
 Isolation = Literal["in-process", "own process", "server", "a person"]
@@ -267,24 +291,35 @@ def aggregate(results: Iterable[EpisodeResult], seed: int = 0) -> dict[str, Inte
     """Mean and 95 % interval of each metric over the valid episodes; empty when there is none.
 
     Intervals resample scenes where there are several, else episodes. Results are gone through
-    once, and only their numbers are kept.
+    once, and only their numbers are kept. Where there are people, `CR` is there as well: the share
+    of those episodes in which a person cut a move of the agent short.
     """
     columns = {info.field: array("d") for info in METRICS}
+    touched = array("d")
+    among: list[str] = []  # scenes of episodes with people
     scenes: list[str] = []
     known: dict[str, str] = {}  # one text a scene, however often it was read
     for result in results:
         if result.status == "valid" and result.metrics is not None:
             scenes.append(known.setdefault(result.scene, result.scene))
+            if isinstance(result.touches, int):
+                among.append(scenes[-1])
+                touched.append(result.touches > 0)
             for field, column in columns.items():
                 column.append(getattr(result.metrics, field))
     if not scenes:
         return {}
-    return {
+    found = {
         info.key: bootstrap_interval(
             np.asarray(columns[info.field]), clusters=scenes, seed=seed, name=info.key
         )
         for info in METRICS
     }
+    if among:
+        found[TOUCHED.key] = bootstrap_interval(
+            np.asarray(touched), clusters=among, seed=seed, name=TOUCHED.key
+        )
+    return found
 
 
 def aggregate_following(

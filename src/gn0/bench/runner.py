@@ -32,7 +32,7 @@ from gn0.jobs import ExecutorName
 from gn0.jobs.pool import drive
 from gn0.locked_folder import check_room, lock_folder
 from gn0.missions.controls import Control, check_control, replace_texts
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.suites.known_suites import remember_suite
@@ -132,7 +132,10 @@ def run_suite(
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
     asked = backend
-    backend = choose_run_backend(backend, policy_name, suite.map_mode, isolated=isolate)
+    judged = any(isinstance(episode.mission, MissionFollow) for episode in episodes)
+    backend = choose_run_backend(
+        backend, policy_name, suite.map_mode, isolated=isolate, judged=judged
+    )
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
     settings = msgspec.structs.replace(settings, agents=agents, control=known)
     with lock_folder(out, refuse=BenchError), contextlib.ExitStack() as stack:

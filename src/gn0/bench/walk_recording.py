@@ -95,7 +95,10 @@ class WalkRecorder:
     def _open(self, worker: EpisodeWorker, episode: Episode) -> Simulator:
         scene = episode.scene_id
         folder = self.suite.scene_folder(scene).resolve()
-        return worker.open_scene(folder, scene, self.suite.scene_hash(scene), episode.light)
+        carried = worker.carried(episode)
+        return worker.open_scene(
+            folder, scene, self.suite.scene_hash(scene), episode.light, carried
+        )
 
     def save(
         self, episode: Episode, actions: Sequence[Action], *, seconds: float, attempts: int

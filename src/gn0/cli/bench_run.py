@@ -56,8 +56,9 @@ class Args(Config, frozen=True):
             default what the suite says. A policy that asks for more gets a table of its own.
         isolate: run the policy in a process of its own: it shares no memory with the harness, gets
             no path to suite or scene, and starts in an empty folder.
-        profile: default, paper, gn0-release (the official harness beside ours), or vlnce (the body
-            of VLN-CE's own task); by default what the suite says.
+        profile: default, paper, gn0-release (the official harness beside ours), vlnce (the body of
+            VLN-CE's own task), or evt (following judged by EVT-Bench's numbers); by default what
+            the suite says.
         control: take something away from the policy: its words (no_words: every text is "go"), its
             own words (shuffled: another episode's of the scene), or its pictures (no_pictures:
             black); part of the run's identity.
@@ -89,7 +90,7 @@ class Args(Config, frozen=True):
     map_mode: Literal["prior", "explored", "none"] | None = None
     track: str = ""
     isolate: bool = False
-    profile: Literal["", "default", "paper", "gn0-release", "vlnce"] = ""
+    profile: Literal["", "default", "paper", "gn0-release", "vlnce", "evt"] = ""
     control: Literal["none", "no_words", "shuffled", "no_pictures"] = "none"
     limit: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--episodes",))] = 0
     visible_sets: bool = False

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from gn0.bench.results import RunSummary
 
 # metric -> (title, factor, decimals)
+_TOUCHED = {"CR": ("CR %", 100, 1)}  # where there are people
 _COLUMNS = {
     "SR": ("SR %", 100, 0),
     "SPL": ("SPL %", 100, 1),
@@ -62,11 +63,13 @@ def _print_table(summaries: Sequence[RunSummary], title: str) -> None:
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
     table.add_column("policy", no_wrap=True)
     table.add_column("scored", justify="right", no_wrap=True)
-    for column, _, _ in _COLUMNS.values():
+    among = any(name in summary.metrics for summary in summaries for name in _TOUCHED)
+    columns = _COLUMNS | _TOUCHED if among else _COLUMNS
+    for column, _, _ in columns.values():
         table.add_column(column, justify="right", no_wrap=True)
     for summary in summaries:
         cells = []
-        for name, (_, factor, decimals) in _COLUMNS.items():
+        for name, (_, factor, decimals) in columns.items():
             found = summary.metrics.get(name)
             if found is None:
                 cells.append("–")

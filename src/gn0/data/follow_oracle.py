@@ -194,6 +194,8 @@ class FollowOracle:
         walkers, seen = self._watch(time, [*others, *([] if person is None else [person])]), None
         if person is not None:
             time, seen = self._time_on_track(time, person), walkers.pop()
+        else:
+            self._clock = (time, time)
         barred = self._last == (pose, Action.FORWARD)
         try:
             action = choose_following(

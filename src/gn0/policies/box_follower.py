@@ -227,7 +227,7 @@ class PolicyBoxFollower:
     """
 
     name = "box_follower"
-    sensors: frozenset[str] = frozenset({"rgb", "people"})
+    sensors: frozenset[str] = frozenset({"rgb", "who"})
 
     def __init__(self, preset: str = "follower", distance: float = BoxGains.distance) -> None:
         self._preset = find_preset(preset)
@@ -242,9 +242,10 @@ class PolicyBoxFollower:
         """Keep the box ahead and at its distance.
 
         Raises:
-            PolicyError: no person picture, or one of another size than the colour picture.
+            PolicyError: no person picture, one of another size than the colour picture, or one of
+                another camera than its own.
         """
-        people, rgb = observation.read("people"), observation.rgb
+        people, rgb = observation.read("who"), observation.rgb
         if people is None or rgb is None or people.shape != rgb.shape[:2]:
             raise PolicyError(
                 "box_follower needs a person picture of the size of the colour picture",
@@ -253,6 +254,23 @@ class PolicyBoxFollower:
         if self._follower is None:
             camera, body = self._preset.rgb, self._preset.agent
             height, width = people.shape
+            if (height, width) != (camera.height, camera.width):
+                raise PolicyError(
+                    f"box_follower has the camera {self._preset.name!r} of {camera.width}×"
+                    f"{camera.height}, and is shown {width}×{height}: give it the suite's, "
+                    f"--policy-option preset={_preset_of(width, height)}",
+                    where="box_follower, preset",
+                    remedy="the camera of a suite stands in its suite.json",
+                )
             view = PictureView(width, height, camera.hfov, body.camera_height)
             self._follower = BoxFollower(view, body, self._gains)
         return self._follower.act(find_boxes(people, rgb), observation.collided)
+
+
+def _preset_of(width: int, height: int) -> str:
+    """A following camera with pictures of that size, or a word for the suite's own."""
+    for name in ("follower", "follower_small", "evt"):
+        camera = find_preset(name).rgb
+        if (camera.width, camera.height) == (width, height):
+            return name
+    return "THE_SUITE'S"

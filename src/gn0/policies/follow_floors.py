@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gn0.data.expert_labels import plan_from
 from gn0.data.follow_oracle import FOLLOWER
-from gn0.errors import PlanError
+from gn0.errors import PlanError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.policies.simple import PolicyStraight
 from gn0.sim.state import Action, Observation
+
+if TYPE_CHECKING:
+    from gn0.sim.simulator import Simulator
 
 
 class PolicyAlwaysStop:
@@ -27,6 +31,56 @@ class PolicyAlwaysStop:
     def act(self, observation: Observation) -> Action:
         """STOP."""
         return Action.STOP
+
+
+class PolicyStraightAtPerson:
+    """Runs straight at the person, whose place it is told: whoever does not mind touching people.
+
+    It is handed the simulator, and so is named an oracle.
+    """
+
+    name = "straight_at_the_person"
+    sensors: frozenset[str] = frozenset()
+
+    def __init__(self) -> None:
+        self._simulator: Simulator | None = None
+        self._walker = StraightAtPerson()
+        self._row = 0
+
+    def reset(self, instruction: str, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        self._simulator = None
+
+    def reset_privileged(self, simulator: Simulator) -> None:
+        """Look where the person is.
+
+        Raises:
+            PolicyError: the mission does not say whom to follow.
+        """
+        person = simulator.episode.followed
+        if person is None:
+            raise PolicyError(
+                "straight_at_the_person has nobody to run at: the mission follows no person",
+                where=f"episode {simulator.episode.id!r}",
+                remedy="give a suite made with `gn0 missions generate --types follow`",
+            )
+        self._simulator = simulator
+        self._row = simulator.episode.people.index(person)
+        self._walker = StraightAtPerson(simulator.navigation)
+
+    def act(self, observation: Observation) -> Action:
+        """Towards the person.
+
+        Raises:
+            PolicyError: it was not handed the simulator.
+        """
+        simulator = self._simulator
+        if simulator is None:
+            raise PolicyError(
+                "it was not handed the simulator", remedy="run it with `gn0 bench run`"
+            )
+        x, y = simulator.company.places[self._row].tolist()
+        return self._walker.act(simulator.pose, (x, y), observation.collided)
 
 
 class StraightAtPerson:

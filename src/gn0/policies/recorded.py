@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gn0.bench.replay import recorded_actions
-from gn0.bench.results import load_traces
+from gn0.bench.results import load_traces, recorded_actions
 from gn0.errors import EpisodeError, PolicyError
 from gn0.sim.state import Action, Observation, Teleport
 from gn0.suites.run_files import digest_run

@@ -14,6 +14,7 @@ from gn0.errors import SceneError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.paper import BEV_CUT
+from gn0.people.person import RADIUS
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import build_renderer, name_drawing
@@ -71,6 +72,7 @@ def open_simulator(
     motion: Motion | None = None,
     noise: Noise | None = None,
     bank: AvatarBank | Path | str | None = None,
+    person_radius: float = RADIUS,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -95,6 +97,7 @@ def open_simulator(
         motion: what moves in the scene, see `gn0.sim.motion`.
         noise: what the body adds to depth, pose and moves; nothing when None.
         bank: of the people of episodes who have names in one; generated ones need none.
+        person_radius: of people's discs [m].
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -157,4 +160,5 @@ def open_simulator(
         motion=motion,
         bank=bank,
         light=light,
+        person_radius=person_radius,
     )

@@ -159,6 +159,17 @@ class Company:
         move = move_in_ticks(self.navigation, x0, y0, places, self.agent, touches)
         return move, stopped
 
+    def foresee(
+        self, x0: float, y0: float, places: Sequence[tuple[float, float]]
+    ) -> PersonHit | None:
+        """Who would cut a move short; see `go`. Nobody moves."""
+        if not self.people:
+            return None
+        kept, hit = self._state.copy(), self.hit
+        self.go(x0, y0, places)
+        found, self._state, self.hit = self.hit, kept, hit
+        return found
+
     def _touched(self, x: float, y: float) -> int:
         """The nearest person whom the agent would touch at (x, y); −1 for nobody."""
         reach = self.radius + self.agent.radius

@@ -167,6 +167,14 @@ _PRESETS = (
         "follower", CAMERA_SIZE, CAMERA_VFOV, agent=_FOLLOWER,
         note="no benchmark's: cameras of gn_bench, and a body quick enough to follow a person",
     ),
+    _with_vfov(
+        "follower_small", (160, 120), CAMERA_VFOV, agent=_FOLLOWER,
+        note="no benchmark's: what follower sees in a ninth of its pixels, for quick runs",
+    ),
+    _with_hfov(
+        "evt", (640, 480), 90.0, agent=_FOLLOWER,
+        note="of profile evt: EVT-Bench counts pixels of this picture; the body is the follower's",
+    ),
     _tiny(128),
     _tiny(160),
     _with_hfov(

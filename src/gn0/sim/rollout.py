@@ -44,14 +44,15 @@ def run_episode(
     policy: Policy,
     episode: Episode,
     *,
-    watch: Callable[[Observation, StepResult | None], None] | None = None,
+    watch: Callable[[Observation, StepResult | None], bool | None] | None = None,
     dark: bool = False,
 ) -> Trajectory:
     """Let a policy act until it stops or runs out of steps.
 
     The policy sees exactly the sensors it declares, also when the simulator carries more. Its
     randomness is a stream named by the episode and the policy, so results do not depend on the
-    order of episodes. `watch` is called after reset (result None) and after every action.
+    order of episodes. `watch` is called after reset (result None) and after every action; where it
+    returns True the episode is over.
     `dark` shows the policy black pictures: a control.
 
     Raises:
@@ -83,9 +84,8 @@ def run_episode(
         collisions.append(result.collided)
         costs.append(result.steps)
         observation = result.observation
-        if watch is not None:
-            watch(observation, result)
-        if result.terminated or result.truncated:
+        ends = watch is not None and watch(observation, result)
+        if ends or result.terminated or result.truncated:
             break
     return Trajectory(
         tuple(poses),

@@ -28,6 +28,7 @@ from gn0.missions.episode import (
     MissionGoal,
     check_episode,
 )
+from gn0.people.person import RADIUS
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import Move, check_finite, check_places, move_agent
@@ -36,7 +37,7 @@ from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
 from gn0.sim.motion import Moment
 from gn0.sim.noise import sample_move
-from gn0.sim.people import Company
+from gn0.sim.people import Company, PersonHit
 from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
@@ -52,6 +53,8 @@ from gn0.sim.state import (
     STEP_SECONDS as STEP_SECONDS,
 )
 from gn0.sim.ticks import cut_journey, cut_move
+
+MOVE_CODE = -1  # a Teleport or Displacement among codes of actions
 
 if TYPE_CHECKING:
     from gn0.avatars.bank import AvatarBank
@@ -116,6 +119,7 @@ class Simulator:
         light: how the renderer's scene is lit, for people in it; as it was made when None.
         one_step_moves: a Teleport or Displacement counts as one step whatever its length, as in
             the paper's global action space; it lasts as long as otherwise.
+        person_radius: of people's discs [m].
 
     Raises:
         SimError: a sensor lacks its renderer or picture, the map was inflated for another
@@ -137,6 +141,7 @@ class Simulator:
         motion: Motion | None = None,
         bank: AvatarBank | Path | str | None = None,
         light: LightCondition | None = None,
+        person_radius: float = RADIUS,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
@@ -160,7 +165,7 @@ class Simulator:
             lambda output: own._look()[output],
             lambda: own._history.tiles,
             lambda: own._look_from_goal(),
-            lambda: own._who(),
+            lambda: own.look_at_people(),
         )
         self._mapper: Mapper | None = None
         if config.explores:
@@ -170,7 +175,7 @@ class Simulator:
             )  # fmt: skip
         self._here.mapper = self._mapper
         self._actuation = config.noise.actuation if config.noise.moves else None
-        self._company = Company(navigation, self.agent)
+        self._company = Company(navigation, self.agent, person_radius)
         self._here.company = self._company
         self.bank, self._light = bank, light
         self._people: PeopleEyes | None = None
@@ -282,6 +287,7 @@ class Simulator:
         self._over = False
         self._history.clear()
         self._last_look: tuple[Pose2D, bytes, dict[str, NDArray[Any]]] | None = None
+        self._last_who: tuple[Pose2D, bytes, tuple[U8, F32]] | None = None
         self._goal_picture: U8 | None = None
         self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
         return self._observe()
@@ -297,7 +303,8 @@ class Simulator:
         Reaching `max_steps` without an end truncates it.
 
         With people, a move stops at the tick before it would touch one: `collided`, and
-        `info["hit_person"]` is a `gn0.sim.people.PersonHit`, else None.
+        `info["hit_person"]` is a `gn0.sim.people.PersonHit`, else None; `info["action"]` is the
+        action's code, −1 of a move of any length.
 
         Raises:
             SimError: before reset, after the end, or not a valid action (unknown, or holds NaN).
@@ -307,7 +314,7 @@ class Simulator:
                 "no episode is in progress" if self._episode is None else "the episode is over",
                 remedy="call reset(episode) first",
             )
-        moved, collided, stop, spent = 0.0, False, False, 1
+        moved, collided, stop, spent, code = 0.0, False, False, 1, MOVE_CODE
         company, ticks = self._company, self.agent.step_ticks
         company.hit = None
         x, y = self._x, self._y
@@ -348,7 +355,7 @@ class Simulator:
         observation = self._observe()
         info: dict[str, Any] = {"pose": self._here.pose}
         if company:
-            info["hit_person"] = company.hit
+            info |= {"hit_person": company.hit, "action": code}
         return StepResult(observation, moved, collided, stop, truncated, info, steps)
 
     def _move(self, x1: float, y1: float) -> Move:
@@ -413,6 +420,22 @@ class Simulator:
         finally:
             self.restore_state(kept)
 
+    def foresee_forward(self) -> PersonHit | None:
+        """Who would cut a FORWARD of now short; nothing moves. Privileged, and without noise."""
+        x, y = self._x, self._y
+        there = step_forward(x, y, self._yaw, self.agent.forward_step)
+        return self._company.foresee(x, y, cut_move(x, y, *there, self.agent.step_ticks))
+
+    def pose_after(self, action: Action) -> Pose2D:
+        """Where an action that nothing cuts short leads from here; nothing moves."""
+        if action == Action.FORWARD:
+            there = step_forward(self._x, self._y, self._yaw, self.agent.forward_step)
+            return Pose2D(*there, self._yaw)
+        if action == Action.STOP:
+            return self.pose
+        turned = self.heading.turned(1 if action == Action.LEFT else -1)
+        return Pose2D(self._x, self._y, turned.yaw)
+
     def save_state(self) -> SimState:
         """The whole state, to be restored later in this simulator.
 
@@ -445,7 +468,7 @@ class Simulator:
         self._steps, self._collided, self._over = state.steps, state.collided, state.over
         self._spent = state.steps if state.spent is None else state.spent
         self._history = History(state.tiles, self.config.preset.history_tile)
-        self._last_look = None
+        self._last_look = self._last_who = None
         self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)
 
@@ -501,13 +524,23 @@ class Simulator:
             self._people = PeopleEyes(self.scene, renderer, self.bank, self._light)
         self._people.cast.check(episode.people, f"episode {episode.id!r}")
 
-    def _who(self) -> tuple[U8, F32]:
-        """Person numbers [H, W] of the colour camera, and how much is seen of each [16, 6]."""
+    def look_at_people(self) -> tuple[U8, F32]:
+        """Who is in the agent's picture: person numbers [H, W], and what is seen of each [16, 6].
+
+        Privileged, as the sensors `who` and `people_seen` are; nobody without a renderer. Not drawn
+        again while nothing moves.
+        """
+        pose, last = Pose2D(self._x, self._y, self._yaw), self._last_who
+        moment = self._moment(pose)
+        if last is None or last[0] != pose or last[1] != moment.key:
+            self._last_who = last = (pose, moment.key, self._who(pose, moment))
+        picture, table = last[2]
+        return picture.copy(), table.copy()
+
+    def _who(self, pose: Pose2D, moment: Moment) -> tuple[U8, F32]:
         from gn0.sim.people_eyes import read_who
 
-        pose = Pose2D(self._x, self._y, self._yaw)
-        parts = self._moment(pose).parts if self._company else ()
-        return read_who(self._suite, pose, parts, self._numbers)
+        return read_who(self._suite, pose, moment.parts if self._company else (), self._numbers)
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

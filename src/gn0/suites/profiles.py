@@ -2,8 +2,9 @@
 
 `default` is what this package stands for; `paper` reports the straight distance as NE;
 `gn0-release` reproduces the official harness beside it; `vlnce` gives each VLN-CE set the body of
-its own task. A profile is part of a suite's hash, hence
-of a run's identity: numbers of two profiles are never compared by accident.
+its own task; `evt` judges following by EVT-Bench's own numbers, with its camera. A profile is part
+of a suite's hash, hence of a run's identity: numbers of two profiles are never compared by
+accident.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from gn0.maps.release_map import MARGINS
 from gn0.missions.episode import AgentSpec
 from gn0.sim.presets import find_preset
 
-Profile = Literal["default", "paper", "gn0-release", "vlnce"]
-PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release", "vlnce")
+Profile = Literal["default", "paper", "gn0-release", "vlnce", "evt"]
+PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release", "vlnce", "evt")
 RELEASE: Profile = "gn0-release"
 VLNCE: Profile = "vlnce"
+EVT: Profile = "evt"
+EVT_CAMERA = "evt"  # of 640 × 480 px and 90°, of which its 3,000 px are a share
 ONE_STEP_PROFILES = ("paper", RELEASE)  # where a Teleport or Displacement takes one step
 _DISCS = ", ".join(map(str, MARGINS))
 
@@ -188,6 +191,8 @@ def profile_settings(profile: str, own: str = "", camera: str = "") -> dict[str,
     if profile == VLNCE:
         own = find_preset(own or "gn_bench").name
         return {"profile": profile, "agent": vlnce_body(own, find_preset(camera or own).agent)}
+    if profile == EVT:
+        return {"profile": profile, "camera": EVT_CAMERA}
     if profile != RELEASE:
         return {"profile": profile}
     return {

@@ -68,19 +68,23 @@ def needs_renderer(sensors: Iterable[str], map_mode: str) -> bool:
     return carried.needs_renderer(map_mode == "explored" and bool(carried.maps))
 
 
-def choose_run_backend(backend: str, policy: str, map_mode: str, *, isolated: bool = False) -> str:
+def choose_run_backend(
+    backend: str, policy: str, map_mode: str, *, isolated: bool = False, judged: bool = False
+) -> str:
     """The renderer of a run, for its record and its identity.
 
     A policy that sees no pictures has the same results with any: its runs are "auto", as they are
     on a machine without a GPU. So are those that "auto" lets the CPU draw. An isolated plug-in is
-    not imported to find out what it sees.
+    not imported to find out what it sees. `judged`: pictures are drawn in any case, as scores are
+    made of them.
 
     Raises:
         ConfigError: no such policy, or no such backend.
     """
     known = is_builtin("policy", policy) or not isolated
     sensors = getattr(get_plugin("policy", policy), "sensors", None) if known else None
-    if isinstance(sensors, frozenset) and not needs_renderer(sensors, map_mode):
+    blind = isinstance(sensors, frozenset) and not needs_renderer(sensors, map_mode)
+    if blind and not judged:
         return "auto" if name_drawing(backend) == "cuda" else backend
     if backend == "auto" and choose_backend("auto")[0] == "cuda":
         return "cuda"

@@ -85,7 +85,8 @@ class SuiteFile(Config, frozen=True):
         agent: the body that moves.
         episodes: how many rows `episodes.parquet` has.
         profile: "default"; "paper", where NE means the straight distance; "gn0-release", the
-            official harness; or "vlnce", where the body is that of the VLN-CE task.
+            official harness; "vlnce", where the body is that of the VLN-CE task; or "evt", where
+            following is judged by EVT-Bench's numbers.
         map_mode: what the maps shown to a policy hold, see `gn0.sim.state.MapMode`.
         max_steps: actions until an episode is truncated.
         success_radius: walking distance [m] below which STOP is a success.

@@ -1,0 +1,97 @@
+"""People of a recorded episode, as they were at each of its poses: its actions played again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gn0.bench.results import EpisodeTrace, recorded_actions
+from gn0.geometry import F64, Pose2D
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import Episode
+from gn0.missions.follow_rules import follow_rules
+from gn0.render.instance import Instance
+from gn0.render.light import LightCondition
+from gn0.render.renderer import DrawnScene
+from gn0.scenes.scene import Scene
+from gn0.sim.people import Company
+from gn0.sim.people_eyes import PeopleEyes
+from gn0.sim.simulator import Simulator
+from gn0.suites.profiles import ONE_STEP_PROFILES
+
+
+@dataclass(frozen=True, eq=False)
+class PeopleThen:
+    """People at a recorded pose.
+
+    Attributes:
+        parts: their instances, of clouds that the renderer knows until the next are asked for.
+        places: [P, 2] where they are [m].
+        target: which of them is followed; −1 nobody.
+    """
+
+    parts: tuple[Instance, ...]
+    places: F64
+    target: int
+
+
+class PeopleReplay:
+    """Plays the people of recorded episodes again, for pictures of them.
+
+    Args:
+        scene: where.
+        renderer: draws the pictures.
+        light: how it is lit; as it was made when None.
+        profile: of the suite, which decides how large people are and what a move takes.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        renderer: DrawnScene,
+        light: LightCondition | None = None,
+        profile: str = "default",
+    ) -> None:
+        self._scene, self._profile = scene, profile
+        self._eyes = PeopleEyes(scene, renderer, light=light)
+
+    def play(
+        self, episode: Episode, trace: EpisodeTrace, indices: Sequence[int], focal: float
+    ) -> Iterator[PeopleThen]:
+        """People as the agent's eye at some of its poses sees them.
+
+        Args:
+            episode: with people.
+            trace: what the agent did.
+            indices: of poses, ascending.
+            focal: of the pictures [px].
+
+        Raises:
+            EpisodeError: nobody plays one of them, or one walks through a wall.
+            SimError: an action that cannot be taken.
+        """
+        target = -1 if episode.followed is None else episode.people.index(episode.followed)
+        wanted = set(indices)
+        for index, company in enumerate(self._walk(episode, trace)):
+            if index in wanted:
+                pose = Pose2D(*trace.poses[index])
+                parts = self._eyes.show(company, pose, focal)[0]
+                yield PeopleThen(parts, np.array(company.places), target)
+
+    def _walk(self, episode: Episode, trace: EpisodeTrace) -> Iterator[Company]:
+        agent = episode.agent
+        simulator = Simulator(
+            self._scene,
+            navigation=NavigationMap(self._scene.grid, agent.radius),
+            agent=agent,
+            max_steps=max(trace.trajectory(stopped=False).steps, 1),
+            one_step_moves=self._profile in ONE_STEP_PROFILES,
+            person_radius=follow_rules(self._profile).person_radius,
+        )
+        simulator.reset(episode)
+        yield simulator.company
+        for action in recorded_actions(trace):
+            simulator.step(action)
+            yield simulator.company

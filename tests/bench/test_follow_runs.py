@@ -1,0 +1,175 @@
+"""Runs with people: following from start to end, touches on the way to a goal, and their proof."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from gn0.bench.follow_metrics import FollowMetrics
+from gn0.bench.replay import replay_run
+from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
+from gn0.bench.runner import run_suite
+from gn0.cli.result_tables import print_summaries
+from gn0.missions.episode import MissionFollow
+from gn0.people.walk import walk_alone
+from gn0.suites.suite import Suite
+from gn0_trials.follow_suite_small import WALKER, follow_episode, save_small
+
+pytestmark = pytest.mark.usefixtures("workers_here")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    return save_small(tmp_path_factory.mktemp("small") / "suite")
+
+
+@pytest.fixture(scope="module")
+def oracle(small: Suite, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("oracle") / "run"
+    run_suite(small, "oracle", out)
+    return out
+
+
+def of(run: Path) -> dict[str, tuple[EpisodeResult, EpisodeTrace]]:
+    traces = load_traces(run)
+    return {r.episode[:1]: (r, traces[r.episode]) for r in load_results(run)}
+
+
+def scored(result: EpisodeResult) -> FollowMetrics:
+    assert isinstance(result.follow, FollowMetrics), result.reason
+    return result.follow
+
+
+def test_the_oracle_follows_to_three_seconds_after_the_end_and_touches_nobody(oracle: Path) -> None:
+    result, trace = of(oracle)["a"]
+    follow = scored(result)
+    assert follow.success and follow.end == "over" and not follow.touched and follow.by_pictures
+    assert follow.following_rate >= 0.95 and follow.visible_share
+    assert result.metrics is None and not result.stopped
+    # who walks undisturbed is where the walk alone has it, two ticks of 0.1 s a step
+    record = trace.follow_record()
+    assert record is not None
+    alone = walk_alone(WALKER, 60.0)
+    rows = len(record.poses)
+    np.testing.assert_allclose(record.people[0], alone.place[: 2 * rows : 2], rtol=0, atol=1e-9)
+    ticks = int(np.flatnonzero(alone.arrived)[0])
+    assert record.over_at == pytest.approx(0.2 * math.ceil(ticks / 2))
+    assert 0.2 * (rows - 1) == pytest.approx(0.2 * math.ceil((record.over_at + 3.0) / 0.2 - 1e-6))
+
+
+def test_the_oracle_goes_round_who_stands_in_its_way(oracle: Path) -> None:
+    result, trace = of(oracle)["b"]
+    assert result.metrics is not None and result.metrics.success
+    assert result.touches == 0 and trace.touches == ()
+    away = np.hypot(*(np.array(trace.poses)[:, :2] - (3.2, 2.2)).T)
+    assert away.min() >= 0.25 + 0.25
+
+
+def test_a_replay_proves_the_tracks_of_people_too(
+    oracle: Path, small: Suite, tmp_path: Path
+) -> None:
+    assert replay_run(oracle, small.folder).ok
+    lines = (oracle / "trajectories.jsonl").read_text().splitlines()
+    for line, where in ((0, "follow"), (1, "people")):
+        copy = tmp_path / str(line)
+        copy.mkdir()
+        for file in oracle.iterdir():
+            (copy / file.name).write_bytes(file.read_bytes())
+        record = json.loads(lines[line])
+        if where == "follow":
+            record["follow"]["people"][0][7][0] += 1e-9
+        else:
+            record["people"] = "0" * 32
+        changed = [*lines]
+        changed[line] = msgspec.json.encode(record, order="sorted").decode()
+        (copy / "trajectories.jsonl").write_text("\n".join(changed) + "\n")
+        found = replay_run(copy, small.folder)
+        assert not found.ok and where in found.partings[0].field
+
+
+def test_side_by_side_and_resumed_it_is_the_same(
+    oracle: Path, small: Suite, tmp_path: Path
+) -> None:
+    run_suite(small, "oracle", tmp_path, max_episodes=2, agents=2)
+    for name in ("results.jsonl", "trajectories.jsonl", "summary.json"):
+        assert (tmp_path / name).read_bytes() == (oracle / name).read_bytes(), name
+    told: list[str] = []
+    run_suite(small, "oracle", tmp_path, max_episodes=2, agents=2, tell=told.append)
+    assert "nothing was run" in told[0]
+
+
+def test_floors_stay_on_the_floor(
+    small: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stands = run_suite(small, "always_stop", tmp_path / "stands", max_episodes=1)
+    follow = scored(of(tmp_path / "stands")["a"][0])
+    assert not follow.success and follow.following_rate < 0.5 and follow.steps > 20
+    runs = run_suite(small, "straight_at_the_person", tmp_path / "runs", max_episodes=1)
+    follow = scored(of(tmp_path / "runs")["a"][0])
+    assert follow.touched and follow.end == "touch" and not follow.success
+    print_summaries([stands, runs])
+    table = capsys.readouterr().out
+    assert "TR_pooled" in table and "wrong_person" in table
+
+
+def test_boxes_are_followed(small: Suite, tmp_path: Path) -> None:
+    summary = run_suite(
+        small, "box_follower", tmp_path, max_episodes=1,
+        policy_options={"preset": "follower_small"},
+    )  # fmt: skip
+    follow = scored(of(tmp_path)["a"][0])
+    assert follow.success and follow.following_rate > 0.8
+    assert summary.standing == "off the track" and "who" in summary.beyond
+
+
+def test_moves_that_somebody_cuts_short_are_counted_on_the_way_to_a_goal(
+    small: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walks = Suite(small.folder, small.about, small.episodes[1:])
+    summary = run_suite(walks, "straight", tmp_path)
+    result, trace = of(tmp_path)["b"]
+    assert isinstance(result.touches, int) and result.touches > 0
+    assert {number for _, number in trace.touches or ()} == {8}
+    assert {index for index, _ in trace.touches or ()} <= set(trace.collided)
+    assert summary.metrics["CR"].mean == 1.0
+    print_summaries([summary])
+    assert "CR %" in capsys.readouterr().out
+
+
+def test_in_profile_evt_stop_ends_and_pixels_count(small: Suite, tmp_path: Path) -> None:
+    theirs = small.with_profile("evt")
+    assert theirs.about.camera == "evt" and theirs.hash != small.hash
+    summary = run_suite(theirs, "always_stop", tmp_path, max_episodes=1)
+    result, trace = of(tmp_path)["a"]
+    follow = scored(result)
+    assert summary.profile == "evt" and result.stopped
+    assert (follow.end, follow.steps, follow.success, follow.reference_steps) == (
+        "stop",
+        1,
+        False,
+        0,
+    )
+    record = trace.follow_record()
+    assert record is not None and record.picture == 640 * 480
+
+
+def test_what_is_wrong_is_said(small: Suite, tmp_path: Path) -> None:
+    alone = follow_episode()
+    mission = alone.mission
+    assert isinstance(mission, MissionFollow)
+    alone = msgspec.structs.replace(
+        alone, people=(), mission=msgspec.structs.replace(mission, person=0)
+    )
+    without = save_small(tmp_path / "suite", alone)
+    summary = run_suite(without, "always_stop", tmp_path / "alone")
+    assert "does not say whom to follow" in summary.failed[0].reason
+    walks = Suite(small.folder, small.about, small.episodes[1:])
+    summary = run_suite(walks, "straight_at_the_person", tmp_path / "goal")
+    assert "nobody to run at" in summary.failed[0].reason
+    summary = run_suite(small, "box_follower", tmp_path / "boxes", max_episodes=1)
+    assert "preset=follower_small" in summary.failed[0].reason

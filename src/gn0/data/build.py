@@ -52,6 +52,7 @@ from gn0.data.shard import (
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.locked_folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
+from gn0.missions.people import refuse_people
 from gn0.progress import Progress, no_progress
 from gn0.render.share.client import DrawServer
 from gn0.storage import (
@@ -178,6 +179,7 @@ def _build(
     progress: Progress,
     note: Callable[[str], None],
 ) -> None:
+    refuse_people(suite.episodes, "samples")
     about = describe_dataset(suite, settings)
     every = plan_parts(suite, out, about.settings.chunk)
     plans = every

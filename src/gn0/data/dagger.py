@@ -38,6 +38,7 @@ from gn0.geometry import F32, F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
+from gn0.missions.people import refuse_people
 from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS, SPACING
 from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
@@ -230,7 +231,7 @@ def check_drivable(episode: Episode) -> None:
     """Refuse what a policy alone cannot be driven through.
 
     Raises:
-        EpisodeError: the episode follows somebody who moves.
+        EpisodeError: the episode follows somebody who moves, or has people.
     """
     if isinstance(episode.mission, MissionFollow):
         raise EpisodeError(
@@ -238,6 +239,7 @@ def check_drivable(episode: Episode) -> None:
             where=f"episode {episode.id!r}",
             remedy="label it with gn0.data.follow.label_follow",
         )
+    refuse_people((episode,), "samples")
 
 
 def collect_visited(

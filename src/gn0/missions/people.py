@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -14,6 +14,7 @@ from gn0.people.planning import blocked_at
 
 if TYPE_CHECKING:
     from gn0.maps.grid import OccupancyGrid
+    from gn0.missions.episode import Episode
 
 _DECODER = msgspec.json.Decoder(tuple[EpisodePerson, ...])
 
@@ -69,6 +70,25 @@ def check_people_of(
                 where=f"{where}, person {person.number}, path",
                 remedy=f"begin at least {RADIUS + radius:g} m from it",
             )
+
+
+def refuse_people(episodes: Iterable[Episode], what: str) -> None:
+    """Refuse episodes with people, for what would play them as if nobody were there.
+
+    Args:
+        episodes: all of them.
+        what: does not show people yet: "samples".
+
+    Raises:
+        EpisodeError: names the first one that has people.
+    """
+    found = next((episode for episode in episodes if episode.people), None)
+    if found is not None:
+        raise EpisodeError(
+            f"has {len(found.people)} people, and {what} do not show people yet",
+            where=f"episode {found.id!r}",
+            remedy="make it without --people; gn0 bench run, Simulator and VectorEnv play people",
+        )
 
 
 def check_people_walls(

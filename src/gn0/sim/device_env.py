@@ -29,6 +29,7 @@ from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.people import refuse_people
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
@@ -158,6 +159,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
+        refuse_people(self.tasks.episodes, "environments on a device")
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset, history_tile=history_tile)
         view = read_map_view(map_view)

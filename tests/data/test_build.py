@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import math
@@ -25,10 +26,11 @@ from gn0.data.expert_labels import label_states
 from gn0.data.picture_build import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
 from gn0.data.verify import verify_dataset
-from gn0.errors import BenchError, DataError, FormatError, StorageError
+from gn0.errors import BenchError, DataError, EpisodeError, FormatError, StorageError
 from gn0.geometry import Pose2D, agent_to_world
 from gn0.locked_folder import lock_folder
 from gn0.paper import ACTIONS_AHEAD
+from gn0.people.person import EpisodePerson
 from gn0.scenes.folder import load_scene
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.sim.open import open_simulator
@@ -40,6 +42,18 @@ def test_two_workers_write_the_bytes_of_one(
 ) -> None:
     build_dataset(data_suite, tmp_path / "two", settings_of(), workers=2)
     assert files_of(tmp_path / "two") == files_of(webdataset.folder)
+
+
+def test_episodes_with_people_are_refused_not_drawn_without_them(
+    data_suite, settings_of, tmp_path
+) -> None:
+    first, *others = data_suite.episodes
+    spot = ((first.start[0] + 2.0, first.start[1]),)
+    somebody = EpisodePerson(number=1, identity="drawn:0:1", path=spot, behaviour="stand")
+    crowded = (msgspec.structs.replace(first, people=(somebody,)), *others)
+    suite = dataclasses.replace(data_suite, episodes=crowded)
+    with pytest.raises(EpisodeError, match=r"samples do not show people yet.*--people"):
+        build_dataset(suite, tmp_path / "d", settings_of())
 
 
 def test_labels_first_and_pictures_later_is_the_same(labels_only, webdataset, copy_of, files_of):

@@ -345,16 +345,7 @@ def score(
         )
     except (EpisodeError, PlanError) as error:
         return _invalid(episode, error), EpisodeTrace.of(episode.id, trajectory)
-    result = EpisodeResult(
-        episode=episode.id,
-        scene=episode.scene_id,
-        status="valid",
-        stopped=trajectory.stopped,
-        metrics=metrics,
-        moves=Moves.of(trajectory) or msgspec.UNSET,
-        path=episode.path_id or msgspec.UNSET,
-        mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
-    )
+    result = msgspec.structs.replace(_valid(trajectory, episode), metrics=metrics)
     return result, EpisodeTrace.of(episode.id, trajectory)
 
 
@@ -368,17 +359,19 @@ def score_following(
         scored = compute_follow_metrics(record, rules, where=f"episode {episode.id!r}")
     except EpisodeError as error:
         return _invalid(episode, error), trace
-    result = EpisodeResult(
+    return msgspec.structs.replace(_valid(trajectory, episode), follow=scored), trace
+
+
+def _valid(trajectory: Trajectory, episode: Episode) -> EpisodeResult:
+    return EpisodeResult(
         episode=episode.id,
         scene=episode.scene_id,
         status="valid",
         stopped=trajectory.stopped,
-        follow=scored,
         moves=Moves.of(trajectory) or msgspec.UNSET,
         path=episode.path_id or msgspec.UNSET,
         mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
     )
-    return result, trace
 
 
 def _invalid(episode: Episode, error: EpisodeError | PlanError) -> EpisodeResult:

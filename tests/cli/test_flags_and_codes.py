@@ -47,7 +47,8 @@ def suite(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
     found.with_profile.return_value = found.with_map_mode.return_value = found
     found.with_track.return_value = found
     found.about.success_radius, found.about.max_steps, found.map_mode = 3.0, 500, "prior"
-    monkeypatch.setattr("gn0.suites.suite.open_suite", lambda *args, **named: found)
+    for reader in ("suite.open_suite", "named_suites.open_named"):
+        monkeypatch.setattr(f"gn0.suites.{reader}", lambda *args, **named: found)
     return found
 
 

@@ -221,7 +221,7 @@ def test_settings_are_read_strictly(tmp_path) -> None:
     assert load_settings(path) == MissionSettings()
     path.write_bytes(msgspec.json.encode(read))
     assert load_settings(path) == read
-    for wrong in ("per_scene: many", "speed: 3", "missions: [follow]", "[", "per_scene: 0"):
+    for wrong in ("per_scene: many", "speed: 3", "missions: [chase]", "[", "per_scene: 0"):
         path.write_text(wrong)
         with pytest.raises(FormatError, match=r"not settings of missions|not valid YAML"):
             load_settings(path)

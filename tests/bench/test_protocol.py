@@ -11,7 +11,7 @@ from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.results import PolicyCard
 from gn0.bench.runner import run_suite
 from gn0.bench.schedule import Schedule
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.suites.suite import Suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -30,6 +30,19 @@ def test_the_card_tells_how_long_an_action_takes_where_it_is_not_half_a_second(
     about = msgspec.structs.replace(flats_suite.about, agent=quick)
     other = card_of(Suite(flats_suite.folder, about, flats_suite.episodes))["actions"]
     assert other == card_of(flats_suite)["actions"] + ", 0.2 s an action"
+
+
+def test_the_card_tells_what_counts_where_somebody_is_followed(flats_suite: Suite) -> None:
+    assert "following" not in card_of(flats_suite)
+    first, *others = flats_suite.episodes
+    mission = MissionFollow(goal=(1.0, 1.0), instruction="Follow the man.", human="drawn:0:1")
+    episodes = (msgspec.structs.replace(first, mission=mission), *others)
+    told = card_of(Suite(flats_suite.folder, flats_suite.about, episodes))["following"]
+    assert told.startswith(f"1 of {len(episodes)} episodes") and "within 3 m" in told
+    assert "0.4% to 30%" in told and "STOP stands still" in told and "20 steps beyond 4 m" in told
+    about = msgspec.structs.replace(flats_suite.about, profile="evt")
+    evt = card_of(Suite(flats_suite.folder, about, episodes))["following"]
+    assert "more than 3000 pixels" in evt and "below 0.5 m" in evt and "STOP ends" in evt
 
 
 def test_the_card_tells_an_oracle_from_a_robot(flats_suite: Suite) -> None:

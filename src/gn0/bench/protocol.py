@@ -11,7 +11,8 @@ import msgspec
 from gn0.bench.identity import tell_identity
 from gn0.bench.results import Isolation, Moves, PolicyCard
 from gn0.missions.controls import CONTROL_WORDS, Control
-from gn0.missions.episode import PathSource, tell_pace
+from gn0.missions.episode import MissionFollow, PathSource, tell_pace
+from gn0.missions.follow_rules import follow_rules
 from gn0.render.open import name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.presets import find_preset
@@ -194,6 +195,7 @@ def protocol_card(
         ("distances", "geodesic: any-angle shortest path on the agent's inflated map"),
         ("reference path", describe_paths(suite)),
         *_goal_rows(suite),
+        *_follow_rows(suite),
         (
             "navigation error",
             "both are reported; profile "
@@ -262,6 +264,32 @@ def _goal_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
             f"{several} of {len(suite.episodes)} episodes accept every instance that their words "
             f"fit: distances are to the nearest; {areas} end in an area: success is a STOP inside "
             "it, at no distance",
+        ),
+    )
+
+
+def _follow_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
+    """What counts where somebody is followed; no row in a suite that has no such episode."""
+    count = sum(isinstance(e.mission, MissionFollow) for e in suite.episodes)
+    if not count:
+        return ()
+    rules = follow_rules(suite.about.profile)
+    pixels = f", more than {rules.least_pixels} pixels" if rules.least_pixels else ""
+    touch = (
+        f"a centre distance below {rules.touch_within:g} m"
+        if rules.touch_within
+        else "a move that a person cut short"
+    )
+    return (
+        (
+            "following",
+            f"{count} of {len(suite.episodes)} episodes: a step follows within {rules.reach:g} m "
+            f"of the person, who fills {rules.least_share:.1%} to {rules.most_share:.0%} of the "
+            f"picture{pixels}; STOP {'ends the episode' if rules.stop_ends else 'stands still'}; "
+            f"the end is {rules.linger:g} s after the person's track, at a touch ({touch}), when "
+            f"lost ({rules.lost_after} steps beyond {rules.lost_beyond:g} m) or after "
+            f"{rules.max_steps} steps; success is to follow then (docs/following.md). Rows on "
+            "success and step limit are of other missions",
         ),
     )
 

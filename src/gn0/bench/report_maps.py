@@ -73,6 +73,8 @@ class MapView:
     Attributes:
         box: viewBox of the part that the cell shows.
         whole: viewBox of the whole map.
+        size: width and height of what is drawn, before it is turned: what the browser would take
+            from `box` else.
         turn: transform of what is drawn, "" where north is up; else north is to the left.
         north: where a turned map says so: x, y and the height of letters [SVG units].
         wide: whether the whole map is more than twice as wide as it is high.
@@ -80,6 +82,7 @@ class MapView:
 
     box: str
     whole: str
+    size: tuple[float, float]
     turn: str
     north: tuple[float, float, float]
     wide: bool
@@ -106,6 +109,7 @@ def fit_view(window: MapWindow, points: NDArray[np.floating]) -> MapView:
     return MapView(
         box=f"{left:.1f} {top:.1f} {right - left:.1f} {bottom - top:.1f}",
         whole=f"0 0 {across:.1f} {up:.1f}",
+        size=window.size,
         turn=f"translate(0 {width:.1f}) rotate(-90)" if turned else "",
         north=(round(left + 0.3 * letters, 1), round(top + letters, 1), round(letters, 1)),
         wide=across > 2 * up,

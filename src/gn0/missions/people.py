@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
@@ -14,9 +14,17 @@ from gn0.people.planning import blocked_at
 
 if TYPE_CHECKING:
     from gn0.maps.grid import OccupancyGrid
-    from gn0.missions.episode import Episode
 
 _DECODER = msgspec.json.Decoder(tuple[EpisodePerson, ...])
+
+
+class _Peopled(Protocol):
+    """What an episode is asked here; it knows this module, and not the other way round."""
+
+    @property
+    def id(self) -> str: ...
+    @property
+    def people(self) -> tuple[EpisodePerson, ...]: ...
 
 
 def encode_people(people: Sequence[EpisodePerson]) -> str:
@@ -72,7 +80,7 @@ def check_people_of(
             )
 
 
-def refuse_people(episodes: Iterable[Episode], what: str) -> None:
+def refuse_people(episodes: Iterable[_Peopled], what: str) -> None:
     """Refuse episodes with people, for what would play them as if nobody were there.
 
     Args:

@@ -68,8 +68,10 @@ def show_bystanders(
     shown: list[tuple[Instance, ...]] = [()] * len(poses)
     walkers = 0
     for number, pose in enumerate(poses):
+        if walkers == most:
+            break
         person = _walker(scene, renderer, pose, f"drawn:{seed}:{walkers}")
-        if person is None or walkers == most:
+        if person is None:
             continue
         walkers += 1
         state = empty_crowd(1, 1)

@@ -181,6 +181,15 @@ def test_people_are_seen_where_they_are_now(bank) -> None:
     assert (later[-1].history != bare.history).any()
 
 
+def test_the_agents_own_map_goes_by_time_where_people_move_and_only_there(bank) -> None:
+    simulator = open_simulator(FLAT, EYES, bank=bank, sensors=["occupancy"], map_mode="explored")
+    for people, timed in (((), False), ((stander(identity=bank.names[0]),), True)):
+        simulator.reset(episode(*people))
+        simulator.step(LEFT)
+        kept = simulator.save_state().explored
+        assert (kept.time is not None) == timed
+
+
 def test_unknown_people_are_refused_before_anything_is_built(bank) -> None:
     eyes = open_simulator(FLAT, EYES, sensors=["rgb"], bank=bank, backend="cpu")
     with pytest.raises(EpisodeError, match="nobody is called 'p0009'"):

@@ -19,6 +19,7 @@ from gn0.geometry import wrap_angle
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import (
+    PREFERRED,
     FollowCount,
     FollowEnd,
     FollowRules,
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from gn0.maps.grid import OccupancyGrid
     from gn0.sim.simulator import Simulator
     from gn0.sim.state import Observation, StepResult
-
-PREFERRED = 1.5  # m: distance to keep where the mission tells none
 
 
 class CompanyWatch:

@@ -13,6 +13,7 @@ FollowEnd = Literal["touch", "lost", "steps", "stop", "over"]
 """What ended an episode: a touch, loss, the last step, a STOP (profile `evt`), or the time after
 the person's track."""
 
+PREFERRED = 1.5  # m: distance to keep where the mission tells none
 SAME_TIME = 1e-9  # s: clocks that differ by less say the same
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from gn0.errors import EpisodeError
 from gn0.geometry import F64
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
+from gn0.missions.follow_rules import PREFERRED
 from gn0.people.person import EpisodePerson
 from gn0.people.planning import blocked_at, people_map, round_path
 from gn0.scenes.scene import Scene
-from gn0.sim.follow_tally import DISTANCE
 
 _SLOWER = 0.8  # of the agent's speed, at most: who follows needs time for its turns
 _FASTEST = 1.0  # m/s
@@ -34,7 +34,7 @@ def follow_ways(scene: Scene, episodes: Sequence[Episode], agent: AgentSpec) -> 
         if start is None or goal is None or near.region_of(*start) != near.region_of(*goal):
             continue
         way = round_path(scene.grid, np.asarray(near.geodesic(goal).path(*start), np.float64))
-        ahead = _cut(way, DISTANCE)
+        ahead = _cut(way, PREFERRED)
         if ahead is None or blocked_at(scene.grid, way.tolist()) is not None:
             continue
         speed = min(_SLOWER * agent.forward_step / agent.step_seconds, _FASTEST)
@@ -45,7 +45,7 @@ def follow_ways(scene: Scene, episodes: Sequence[Episode], agent: AgentSpec) -> 
         (x, y), (u, v) = way[0].tolist(), way[1].tolist()
         mission = MissionFollow(
             goal=_points(ahead)[-1], instruction="Follow the person ahead of you.",
-            human=person.identity, person=1, distance=DISTANCE,
+            human=person.identity, person=1, distance=PREFERRED,
         )  # fmt: skip
         found.append(
             msgspec.structs.replace(

@@ -21,12 +21,11 @@ from gn0.jit import njit
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.ray import trace_points
 from gn0.missions.episode import Episode, MissionFollow
-from gn0.missions.follow_rules import FOLLOW, SAME_TIME, FollowRules
+from gn0.missions.follow_rules import FOLLOW, PREFERRED, SAME_TIME, FollowRules
 from gn0.people.crowd import Walls, build_walls
 from gn0.people.route import I64
 
 FOLLOWING, TOUCH = 0.1, -1.0  # what a step earns
-DISTANCE = 1.5  # m to keep where a mission does not say
 ENDS = np.array(["", "touch", "lost", "steps", "over"], object)
 GOING, TOUCHED, LOST, STEPS, OVER = range(5)
 
@@ -55,7 +54,7 @@ def follow_target(episode: Episode) -> FollowTarget:
             remedy="give follow missions, whose field person is a number among their people",
         )
     row = episode.people.index(person)
-    return FollowTarget(row, mission.distance or DISTANCE, mission.lateral)
+    return FollowTarget(row, mission.distance or PREFERRED, mission.lateral)
 
 
 class FollowStep(NamedTuple):

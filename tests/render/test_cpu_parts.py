@@ -115,7 +115,9 @@ def test_instances_of_one_cloud_are_told_apart_at_equal_depth() -> None:
 def test_a_named_cloud_is_packed_once(monkeypatch) -> None:
     """The very same, and an equal one: nothing is packed; another one is, and replaces it."""
     packed = []
-    monkeypatch.setattr(cpu_parts, "pack_cloud", lambda c: packed.append(c) or pack_cloud(c))
+    monkeypatch.setattr(
+        cpu_parts, "pack_cloud", lambda c, **more: packed.append(c) or pack_cloud(c, **more)
+    )
     renderer, ball = RendererCpu(random_cloud(20, 1)), ball_cloud(100, 1)
     for cloud in (ball, ball, replace(ball), replace(ball, means=ball.means.copy())):
         renderer.name_cloud("ball", cloud)
@@ -129,6 +131,34 @@ def test_a_named_cloud_is_packed_once(monkeypatch) -> None:
         renderer.name_cloud("ball", replace(ball, sh=ball.sh * np.float32(np.nan)))
     after = bytes_of(renderer.render(CAMERA, VIEW, parts=[Instance("ball", np.eye(4))]))
     assert before == after, "what is refused replaces nothing"
+
+
+def test_poses_of_one_body_are_sorted_once_and_drawn_as_if_each_was(monkeypatch) -> None:
+    """Clouds that share their scales: the order of the first serves all, and no picture tells."""
+    sorted_ones = []
+    order = cpu_parts.morton_order
+    monkeypatch.setattr(
+        cpu_parts, "morton_order", lambda means: sorted_ones.append(means) or order(means)
+    )
+    rng = np.random.default_rng(5)
+    rest = ball_cloud(700, 4)
+    poses = [
+        replace(
+            rest,
+            means=rng.permutation(rest.means) + np.float32(0.1 * k),
+            opacities=np.where(rng.random(700) < 0.1, 0, rest.opacities).astype(np.float32),
+        )
+        for k in range(3)
+    ]
+    renderer = RendererCpu(random_cloud(20, 1))
+    parts = [Instance("pose", np.eye(4))]
+    for pose in poses:
+        renderer.name_cloud("pose", pose)
+        fresh = RendererCpu(random_cloud(20, 1))
+        fresh.name_cloud("pose", replace(pose, scales=pose.scales.copy()))
+        mine, its = (each.render(CAMERA, VIEW, parts=parts) for each in (renderer, fresh))
+        assert bytes_of(mine) == bytes_of(its)
+    assert len(sorted_ones) == 1 + len(poses)
 
 
 def test_renderers_of_two_scenes_share_their_named_clouds() -> None:

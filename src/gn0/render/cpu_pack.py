@@ -52,25 +52,34 @@ class PackedCloud:
         return len(self.boxes)
 
 
-def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
+def pack_cloud(
+    cloud: GaussianCloud, *, sort: bool = True, order: NDArray[np.int64] | None = None
+) -> PackedCloud:
     """Pack a cloud for the CPU renderer.
 
-    Splats that can never reach 1/255 of opacity are left out. `sort` puts them in Morton order;
-    small moving clouds are packed as they come.
+    Splats that can never reach 1/255 of opacity are left out. Pictures do not depend on the order
+    of what is packed, their time does.
+
+    Args:
+        cloud: the splats.
+        sort: put them in Morton order; small moving clouds are packed as they come.
+        order: all of their indices [N], neighbours together, where that is known already.
 
     Raises:
         RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
     """
     _check_cloud(cloud)
-    index = np.flatnonzero(cloud.opacities >= np.float32(ALPHA_MIN)).astype(np.int32)
-    ordered = True
-    if sort and len(index):
-        by_code = morton_order(cloud.means[index])
-        ordered = bool((np.diff(by_code) > 0).all())
-        index = np.ascontiguousarray(index[by_code])
+    seen = cloud.opacities >= np.float32(ALPHA_MIN)
+    if order is not None:
+        index = order[seen[order]].astype(np.int32)
+    else:
+        index = np.flatnonzero(seen).astype(np.int32)
+        if sort and len(index):
+            index = np.ascontiguousarray(index[morton_order(cloud.means[index])])
+    ordered = bool((np.diff(index) > 0).all())
     count = -(-len(index) // CHUNK)
-    order = np.zeros(count * CHUNK, np.int32)
-    order[: len(index)] = index
+    packed = np.zeros(count * CHUNK, np.int32)
+    packed[: len(index)] = index
     pack = np.zeros((count, FIELDS * CHUNK), np.float32)
     boxes = np.zeros((count, 7), np.float32)
     opacity = np.minimum(cloud.opacities.astype(np.float64), 1.0)
@@ -78,12 +87,12 @@ def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
     sh = read_only(cloud.sh)
     _fill(
         *(read_only(cloud.means), read_only(cloud.quats), read_only(cloud.scales)),
-        *(log_opacity, sh, order, np.int32(len(index)), pack, boxes),
+        *(log_opacity, sh, packed, np.int32(len(index)), pack, boxes),
     )
     degree = cloud.sh_degree
     if not degree:
         sh = read_only(np.zeros((1, 1, 3), np.float32))  # the colours are packed: let go of it
-    return PackedCloud(pack, boxes, order, sh, degree, ordered)
+    return PackedCloud(pack, boxes, packed, sh, degree, ordered)
 
 
 def read_only(array: F32) -> F32:

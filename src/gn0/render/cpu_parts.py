@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud, read_only
-from gn0.render.instance import Instance, check_named, digest_part, find_normals
+from gn0.render.instance import Instance, check_named, find_normals
 from gn0.render.labels import U32, encode_labels
 
 NO_GAIN = read_only(np.empty((0, 3), np.float32))  # colours stay as they are
@@ -45,9 +47,24 @@ class _NamedCloud:
     cloud: PackedCloud
     normals: F32
     size: int
-    digest: str
     codes: U32
     source: weakref.ref[GaussianCloud]
+
+
+def _are_equal(held: GaussianCloud | None, cloud: GaussianCloud) -> bool:
+    """Whether a cloud has all that a part's picture depends on from one that is still there."""
+    if held is None or held is cloud:
+        return held is cloud
+    for field in ("means", "quats", "scales", "opacities", "sh", "normal", "label", "categories"):
+        one, two = getattr(held, field), getattr(cloud, field)
+        if one is not two and (one is None or two is None or not np.array_equal(one, two)):
+            return False
+    return True
+
+
+class _Order(NamedTuple):
+    order: NDArray[np.int64]
+    scales: weakref.ref[F32]
 
 
 class NamedClouds:
@@ -55,6 +72,7 @@ class NamedClouds:
 
     def __init__(self) -> None:
         self._held: dict[str, _NamedCloud] = {}
+        self._orders: dict[int, _Order] = {}
 
     def __contains__(self, name: object) -> bool:
         return name in self._held
@@ -66,23 +84,37 @@ class NamedClouds:
             RenderError: the name or the cloud cannot be a part's.
         """
         held = self._held.get(name) if isinstance(name, str) else None
-        if held is not None and held.source() is cloud:
+        if held is not None and _are_equal(held.source(), cloud):
             return
         check_named(name, cloud)
-        digest = digest_part(cloud)
-        if held is not None and held.digest == digest:
-            return
-        packed = pack_cloud(cloud)
+        packed = pack_cloud(cloud, order=self._find_order(cloud))
         lanes = find_normals(cloud)[packed.order].reshape(-1, CHUNK, 3).transpose(0, 2, 1)
         normals = np.ascontiguousarray(lanes).reshape(-1, 3 * CHUNK)
         self._held[name] = _NamedCloud(
             packed,
             read_only(normals),
             len(cloud),
-            digest,
             encode_labels(cloud.label, cloud.categories, len(cloud)),
             weakref.ref(cloud),
         )
+
+    def _find_order(self, cloud: GaussianCloud) -> NDArray[np.int64]:
+        """Neighbours together [N]: as in the first pose of clouds that share their scales.
+
+        Splats that are near each other on a body are so in every pose, and sorting them is most
+        of what packing takes.
+        """
+        scales = cloud.scales if cloud.scales.base is None else cloud.scales.base
+        known = self._orders.get(id(scales))
+        if known is not None and known.scales() is scales and len(known.order) == len(cloud):
+            return known.order
+        self._orders = {
+            key: each for key, each in self._orders.items() if each.scales() is not None
+        }
+        order = morton_order(cloud.means)
+        if isinstance(scales, np.ndarray):
+            self._orders[id(scales)] = _Order(order, weakref.ref(scales))
+        return order
 
     def place(self, instances: Sequence[Instance], first: int) -> list[PlacedPart]:
         """What to draw for checked instances; indices run on from `first`, in their order."""

@@ -156,8 +156,15 @@ class RendererBatch:
             DeviceMemoryError: the device has no room for it.
         """
         with lock_of(self.device):
-            if self._named.hold(name, cloud, lambda bring: self._with_room(bring, (), [])):
-                self._forget_calls()
+            self._named.hold(name, cloud, lambda bring: self._with_room(bring, (), []))
+
+    def slot_of(self, name: str) -> int:
+        """The slot of a named cloud in the table that `PartsDevice` without names refers to.
+
+        Raises:
+            RenderError: no cloud has this name.
+        """
+        return self._named.slot_of(name)
 
     def remove(self, key: str) -> None:
         """Forget a scene."""

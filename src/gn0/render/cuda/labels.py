@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from gn0.device.device import Device, DeviceArray, Kernel
-from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice, build_clouds
 from gn0.render.cuda.instances import PART
 from gn0.render.cuda.lists import LabelTarget, Lists
 from gn0.render.cuda.records import FindParts, LabelParts, LabelPictures, LabelTiles, PartTables
@@ -64,6 +64,14 @@ class LabelDrawer:
             if cloud is not None and cloud.labels is not None:
                 codes = cloud.labels.bring(self._device, cloud.order, cloud.alive)
                 table["sh"][number] = codes.pointer
+        if work.part_table is not None:
+            for slot, cloud in enumerate(work.part_table.clouds, start=work.base):
+                if cloud is not None:
+                    table[slot] = build_clouds([cloud])[0]
+                    table["sh"][slot] = 0
+                    if cloud.labels is not None:
+                        codes = cloud.labels.bring(self._device, cloud.order, cloud.alive)
+                        table["sh"][slot] = codes.pointer
         key = table.tobytes()
         if self._clouds is None or self._clouds[0] != key:
             self._clouds = (key, self._device.upload(table.view(np.uint32)))

@@ -196,7 +196,7 @@ class Lists:
             each=np.uint32(firsts if isinstance(firsts, int) else 0),
             clouds=self.clouds,
             base=np.uint32(work.base),
-            known=np.uint32(len(instances.clouds)),
+            known=np.uint32(len(work.table) - work.base),
             normals=normals,
             tolerance=np.float64(VIEW_TOLERANCE),
             first=np.uint32(self.first),

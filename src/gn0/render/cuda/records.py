@@ -142,6 +142,14 @@ class WriteParts(NamedTuple):
     parts: DeviceArray
 
 
+class BringClouds(NamedTuple):
+    """`bring_clouds`: rows of a table of clouds, behind those of a call."""
+
+    from_: DeviceArray
+    words: np.uint32
+    to: DeviceArray
+
+
 class TileLists(NamedTuple):
     """What kernels that draw tiles read of a batch's lists."""
 

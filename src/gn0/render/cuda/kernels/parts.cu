@@ -41,6 +41,12 @@ KERNEL_BOUNDED(paint_parts, THREADS, BLOCKS)
 #define PARTS_MAX 32
 #define NO_PART -1  // instead of a cloud: nothing stands there
 
+// Words of a table of clouds, to behind the clouds of a call.
+KERNEL(bring_clouds)(const u32 *__restrict__ from, u32 words, u32 *to) {
+  u32 k = blockIdx.x * blockDim.x + threadIdx.x;
+  if (k < words) to[k] = from[k];
+}
+
 // Which view instance `i` belongs to, and how many of that view come before it. All views have
 // `each` instances, or view v those from firsts[v] to firsts[v + 1]; whatever `firsts` holds, it is
 // one of the views.
@@ -92,7 +98,8 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
   bool here = whose >= first && whose - first < count && before < PARTS_MAX && number != NO_PART;
   here = here && views[whose - first].cloud != NOWHERE;  // a view that is none is told of alone
   u32 why = !is_finite(p, 16) ? PART_NOT_FINITE : !is_rigid(p, tolerance) ? PART_NOT_RIGID
-            : number < 0 || (u32)number >= known ? PART_NOT_HERE : NOWHERE;
+            : number < 0 || (u32)number >= known || clouds[base + number].rows == NOWHERE
+                ? PART_NOT_HERE : NOWHERE;
   if (here && why == NOWHERE && gains)
     for (int k = 0; k < 12; k++)
       if (!(fabsf(gains[(u64)i * 12 + k]) <= 3.4028234e38f)) why = PART_GAIN;

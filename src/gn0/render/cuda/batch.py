@@ -35,6 +35,7 @@ from gn0.render.cuda.parts import (
     list_sets,
     views_of,
 )
+from gn0.render.cuda.posed import Posing, RestCloud, RestDevice, bring_rest, pose_clouds
 from gn0.render.cuda.replay import PicturesDevice, SetMissingError
 from gn0.render.cuda.request import (
     check_chosen,
@@ -165,6 +166,36 @@ class RendererBatch:
             RenderError: no cloud has this name.
         """
         return self._named.slot_of(name)
+
+    def bring_rest(self, cloud: RestCloud) -> RestDevice:
+        """Bring a person at rest here, to be posed.
+
+        Raises:
+            RenderError: it cannot be posed here.
+            DeviceMemoryError: the device has no room for it.
+        """
+        with lock_of(self.device):
+            return self._with_room(lambda: bring_rest(self.device, cloud), (), [])
+
+    def pose_parts(self, wanted: Sequence[Posing]) -> list[int]:
+        """Slots of clouds in poses, made by one launch; they stay until `drop_part`.
+
+        Raises:
+            RenderError: somebody cannot be packed.
+            DeviceMemoryError: the device has no room for them.
+        """
+        with lock_of(self.device):
+            clouds = self._with_room(lambda: pose_clouds(self.device, wanted), (), [])
+            return [self._named.add(cloud) for cloud in clouds]
+
+    def drop_part(self, slot: int) -> None:
+        """Free a slot that `pose_parts` gave."""
+        with lock_of(self.device):
+            self._named.drop(slot)
+
+    def name_part(self, slot: int) -> str:
+        """The name of a slot that `pose_parts` gave, for `Instance`."""
+        return self._named.name_of(slot)
 
     def remove(self, key: str) -> None:
         """Forget a scene."""

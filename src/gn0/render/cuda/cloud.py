@@ -13,6 +13,7 @@ from gn0.device.device import Device, DeviceArray
 from gn0.render.cuda.tables import CLOUD, NOWHERE
 from gn0.render.labels import encode_labels
 
+PACKED = 8  # instead of a degree: a posed cloud, see `kernels/posed.cuh`
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
 
@@ -70,6 +71,9 @@ class CloudDevice:
             `boxes` are those of its own chunks. None for the whole.
         normals: of one that may be an instance, uint32 [rows] as `instances.pack_normals` has them.
         labels: what its splats belong to; None if nobody said.
+        rest: of a posed cloud, what no pose changes, see `gn0.render.cuda.posed`; its splats are
+            16 bytes each, its normals among them.
+        step: of a posed cloud's places [m].
     """
 
     splats: DeviceArray
@@ -84,6 +88,8 @@ class CloudDevice:
     slots: DeviceArray | None = None
     normals: DeviceArray | None = None
     labels: CloudLabels | None = None
+    rest: DeviceArray | None = None
+    step: float = 0.0
 
     @property
     def chunks(self) -> int:
@@ -126,4 +132,7 @@ def build_cloud(cloud: CloudDevice) -> bytes:
     entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
     entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
     entry["rows"] = len(cloud.splats)
+    if cloud.rest is not None:
+        entry["degree"], entry["slots"] = PACKED, cloud.rest.pointer
+        entry["sh_row"] = np.float32(cloud.step).view(np.uint32)
     return entry.tobytes()

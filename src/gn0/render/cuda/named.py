@@ -98,13 +98,21 @@ class NamedClouds:
             )
         return self._held[name].slot
 
-    def name_slot(self, name: str, slot: int) -> None:
-        """Let a slot of the table, filled by others, go by a name until `forget`."""
-        self._held[name] = _NamedCloud(slot, "", None)
+    def add(self, cloud: CloudDevice) -> int:
+        """The slot that a cloud gets, with a name (`name_of`), until `drop`."""
+        slot = self.table.take()
+        self.table.put(slot, cloud)
+        self._held[self.name_of(slot)] = _NamedCloud(slot, "", None)
+        return slot
 
-    def forget(self, name: str) -> None:
-        """Let a name go; its slot is the business of whoever took it."""
-        self._held.pop(name, None)
+    def drop(self, slot: int) -> None:
+        """Free a slot that `add` gave."""
+        self.table.drop(slot)
+        self._held.pop(self.name_of(slot), None)
+
+    def name_of(self, slot: int) -> str:
+        """The name of a slot that `add` gave."""
+        return f"slot {slot} of the table"
 
     def place(self, parts: Parts | PartsDevice, views: int) -> Instances | None:
         """What to draw in so many views; None if nothing stands in any of them.

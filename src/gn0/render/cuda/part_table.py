@@ -35,6 +35,8 @@ class PartTable:
         self.clouds: list[CloudDevice | None] = []
         self._free: list[int] = []
         self._changed: tuple[int, int] | None = None
+        self._rows: NDArray[np.void] = np.zeros(0, CLOUD)
+        self._normals: NDArray[np.uint64] = np.zeros(0, np.uint64)
         self._grow(_SLOTS)
 
     def __len__(self) -> int:
@@ -96,8 +98,7 @@ class PartTable:
         self.clouds += [None] * (slots - had)
         self._free += range(slots - 1, had - 1, -1)  # the first goes first
         rows, normals = build_clouds(self.clouds).copy(), np.zeros(slots, np.uint64)
-        if had:
-            normals[:had] = self._normals
+        normals[:had] = self._normals
         self._rows, self._normals = rows, normals
         self._there = self.device.empty((slots, CLOUD.itemsize // 4), np.uint32)
         self._normals_there = self.device.empty(slots, np.uint64)

@@ -320,3 +320,24 @@ class FillSlots(NamedTuple):
     starts: DeviceArray
     slots: DeviceArray
     total: np.uint32
+
+
+class PoseSplats(NamedTuple):
+    """`pose_splats`: clouds of people, skinned and packed."""
+
+    jobs: DeviceArray
+    count_: np.uint32
+
+
+class FindSlots(NamedTuple):
+    """`find_slots`: which clouds of a bank codes ask for, and codes that it lacks."""
+
+    codes: DeviceArray
+    count_: np.uint32
+    keys: DeviceArray
+    slots: DeviceArray
+    places: np.uint32
+    stamp: np.uint32
+    stamps: DeviceArray
+    chosen: DeviceArray
+    missing: DeviceArray

@@ -13,12 +13,12 @@ from gn0.render.renderer import ALPHA_CAP, ALPHA_MIN, DILATION, EXTENT_MAX, TRAN
 _KERNELS = Path(__file__).parent / "kernels"
 _WALK = ("colour.cuh", "group.cuh", "reach.cuh", "part.cuh", "walk.cuh", "paint.cuh")
 _FILES = (
-    *("view.cuh", "pose.cuh", "views.cu", "project.cuh", "list.cuh", "list.cu"),
+    *("view.cuh", "pose.cuh", "views.cu", "posed.cuh", "project.cuh", "list.cuh", "list.cu"),
     *(*_WALK, "paint.cu"),
 )
-_PARTS_FILES = ("view.cuh", "pose.cuh", "project.cuh", "list.cuh", *_WALK, "parts.cu")
+_PARTS_FILES = ("view.cuh", "pose.cuh", "posed.cuh", "project.cuh", "list.cuh", *_WALK, "parts.cu")
 _LABEL_FILES = (
-    *("view.cuh", "project.cuh", "list.cuh", "code.cuh"),  # codes instead of colours
+    *("view.cuh", "posed.cuh", "project.cuh", "list.cuh", "code.cuh"),  # codes instead of colours
     *("group.cuh", "reach.cuh", "part.cuh", "walk.cuh", "labels.cuh"),
 )
 CODES = 8  # that a pixel has room for at a time, even; never changes a byte

@@ -206,7 +206,7 @@ def test_who_reaches_too_far_is_named_instead() -> None:
     device, avatar = DeviceHost(), small_person(0, 0.1)
     rest = bring_rest(device, rest_of(avatar))
     far = posing_of(avatar, rest, stride_pose(), np.array([0.0, 0.0, 40.0]))
-    with pytest.raises(RenderError, match=r"pose 0.*16 bytes a splat hold.*name_cloud"):
+    with pytest.raises(RenderError, match=r"pose 0.*16 bytes hold.*name_cloud"):
         pose_clouds(device, [far])
 
 

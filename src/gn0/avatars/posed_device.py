@@ -8,9 +8,10 @@ clouds does.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class AvatarPose(Protocol):
         ...
 
 
+@runtime_checkable
 class HoldsParts(Protocol):
     """A renderer whose table of parts lies on a device: `RendererBatch`."""
 
@@ -121,6 +123,7 @@ class PosedBankDevice:
         self._bytes = self._call = 0
         self._finder = SlotFinder(renderer.device)
         self._stale = True  # whether the finder does not know what is held
+        weakref.finalize(self, _let_go, renderer, self._held).atexit = False
 
     def __len__(self) -> int:
         return len(self._held)
@@ -261,6 +264,12 @@ class PosedBankDevice:
         rest, clouds = self._rests.pop(gone.rest)
         if clouds > 1:
             self._rests[gone.rest] = (rest, clouds - 1)
+
+
+def _let_go(renderer: HoldsParts, held: dict[Hashable, _Held]) -> None:
+    """Nobody will ask for them again."""
+    for one in held.values():
+        renderer.drop_part(one.slot)
 
 
 def _size_of(avatar: Avatar) -> int:

@@ -245,3 +245,24 @@ def test_bad_parts_are_told(parts, match: str) -> None:
         batch.draw(CAMERA, VIEWS, KEYS, parts=parts)
     with pytest.raises(RenderError, match="is not the name of a cloud"):
         batch.name_cloud("", CLOUDS["ball"])
+
+
+def test_who_is_who_is_what_the_cpu_says() -> None:
+    """Numbers to the pixel but where weights are level, shares and boxes likewise."""
+    batch = open_batch()
+    places = [pose_ahead(VIEWS[3], 0.9, 0.09 * k - 0.72, 0.1 * k) for k in range(16)]
+    parts = [PARTS[0], [], PARTS[2], [Instance("ball", pose) for pose in places]]
+    found = batch.render_who(CAMERA, VIEWS, KEYS, parts=parts)
+    for v, key in enumerate(KEYS):
+        cpu = RendererCpu(SCENES[key], FLOAT)
+        for name, cloud in CLOUDS.items():
+            cpu.name_cloud(name, cloud)
+        want = cpu.render_who(CAMERA, VIEWS[v], parts=parts[v])
+        assert (found.numbers[v] != want.numbers[0]).mean() < 2e-3
+        for mine, his in zip(found.seen[v], want.seen[0], strict=True):
+            assert mine.number == his.number and abs(mine.pixels - his.pixels) <= 2
+            assert abs(mine.share - his.share) < 0.05 and abs(mine.whole - his.whole) <= 2
+    assert found.numbers[3].max() == 16 and len(np.unique(found.numbers[3])) > 8
+    again = batch.render_who(CAMERA, VIEWS, KEYS, parts=parts)
+    assert (again.numbers == found.numbers).all() and again.seen == found.seen
+    assert not batch.render_who(CAMERA, VIEWS, KEYS, parts=[]).numbers.any()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
+from gn0.geometry import F32
 from gn0.render.cuda.tables import CLOUD, NOWHERE
 from gn0.render.labels import encode_labels
 
@@ -74,6 +75,8 @@ class CloudDevice:
         rest: of a posed cloud, what no pose changes, see `gn0.render.cuda.posed`; its splats are
             16 bytes each, its normals among them.
         step: of a posed cloud's places [m].
+        bounds: of one that may be an instance, float32 [7]: a box that holds all centres, and the
+            largest reach, as of a chunk; None if nobody knows.
     """
 
     splats: DeviceArray
@@ -90,6 +93,7 @@ class CloudDevice:
     labels: CloudLabels | None = None
     rest: DeviceArray | None = None
     step: float = 0.0
+    bounds: F32 | None = None
 
     @property
     def chunks(self) -> int:
@@ -115,6 +119,12 @@ class CloudDevice:
         )
         codes = 0 if self.labels is None else self.labels.nbytes
         return codes + sum(array.nbytes for array in arrays if array is not None)
+
+
+def bound_all(clouds: Sequence[CloudDevice | None]) -> F32:
+    """Bounds of clouds [n, 7]; where nobody knows them, a reach without end."""
+    endless = np.array([0, 0, 0, 0, 0, 0, np.inf], np.float32)
+    return np.stack([endless if c is None or c.bounds is None else c.bounds for c in clouds])
 
 
 def build_clouds(clouds: Sequence[CloudDevice | None]) -> NDArray[np.void]:

@@ -176,6 +176,7 @@ class Drawer:
         rows: NDArray[np.int64] | None = None,
         background: F32,
         antialiased: bool = False,
+        who: bool = False,
     ) -> None:
         """Draw views into `pictures`.
 
@@ -199,6 +200,8 @@ class Drawer:
             rows: [V] rows of `pictures` that the views fill; their own numbers when None.
             background: float32 [3].
             antialiased: compensate opacity for the dilation.
+            who: `pictures.instance`, which is all that is asked for, gets numbers of instances by
+                their place in the view, from 1; of views that the host has.
 
         Raises:
             RenderError: a view or an instance on the device is not finite, not rigid, or of no
@@ -221,7 +224,7 @@ class Drawer:
                 *(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows),
                 instances=instances,
             )
-        labels = self._labels.prepare(work, clouds, pictures)
+        labels = self._labels.prepare(work, clouds, pictures, who=who)
         target = PaintTarget(None, build_target(pictures, background))
         alone = labels is not None and labels.alone
         self._run(work, Blend(None if alone else target, labels), antialiased)

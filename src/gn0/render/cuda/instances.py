@@ -133,6 +133,19 @@ class Instances:
             gains=None if gains is None else gains[at],
         )
 
+    def take(self, rows: NDArray[np.integer]) -> Instances:
+        """Instances `rows`, one in each of as many views; only the host's."""
+        assert isinstance(self.poses, np.ndarray) and isinstance(self.chosen, np.ndarray)
+        gains = self.gains
+        assert not isinstance(gains, DeviceArray)
+        return replace(
+            self,
+            poses=self.poses[rows],
+            chosen=self.chosen[rows],
+            firsts=1,
+            gains=None if gains is None else gains[rows],
+        )
+
     def check(self, views: int) -> None:
         """Compare what the host knows with what kernels rely on.
 

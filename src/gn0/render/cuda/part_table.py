@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
-from gn0.render.cuda.cloud import CloudDevice, build_clouds
+from gn0.render.cuda.cloud import CloudDevice, bound_all, build_clouds
 from gn0.render.cuda.tables import CLOUD, NOWHERE
 
 _SLOTS = 16  # at first
@@ -53,6 +53,11 @@ class PartTable:
         return self._there
 
     @property
+    def bounds(self) -> DeviceArray:
+        """Bounds of each, float32 [slots, 7], as of `flush`."""
+        return self._bounds_there
+
+    @property
     def normals(self) -> DeviceArray:
         """Where the normals of each are, uint64, as of `flush`."""
         return self._normals_there
@@ -83,6 +88,7 @@ class PartTable:
         rows = self._rows[low:high].view(np.uint32).reshape(high - low, -1)
         self.device.upload(rows, self._there[low:high])
         self.device.upload(self._normals[low:high], self._normals_there[low:high])
+        self.device.upload(self._bounds[low:high], self._bounds_there[low:high])
         self._changed = None
 
     def _write(self, slot: int, cloud: CloudDevice | None) -> None:
@@ -90,6 +96,7 @@ class PartTable:
         self._rows[slot] = build_clouds([cloud])[0]
         normals = None if cloud is None else cloud.normals
         self._normals[slot] = 0 if normals is None else normals.pointer
+        self._bounds[slot] = bound_all([cloud])[0]
         low, high = self._changed or (slot, slot + 1)
         self._changed = (min(low, slot), max(high, slot + 1))
 
@@ -99,8 +106,9 @@ class PartTable:
         self._free += range(slots - 1, had - 1, -1)  # the first goes first
         rows, normals = build_clouds(self.clouds).copy(), np.zeros(slots, np.uint64)
         normals[:had] = self._normals
-        self._rows, self._normals = rows, normals
+        self._rows, self._normals, self._bounds = rows, normals, bound_all(self.clouds)
         self._there = self.device.empty((slots, CLOUD.itemsize // 4), np.uint32)
+        self._bounds_there = self.device.empty((slots, 7), np.float32)
         self._normals_there = self.device.empty(slots, np.uint64)
         self._changed = (0, slots)
         self.version += 1

@@ -25,12 +25,13 @@ from gn0.render.cuda.cloud import CloudDevice, CloudLabels
 from gn0.render.cuda.records import FindSlots, PoseSplats
 from gn0.render.cuda.tables import CHUNK, NOWHERE
 from gn0.render.instance import PART_SPLATS_MAX
-from gn0.render.renderer import ALPHA_MIN
+from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
 
 SPLAT_BYTES = 16  # of a posed splat
 STEP_MOST = 1.0e-5  # m: a finer grid holds who reaches less than 10 m from its middle
 _MIDDLE = (0.0, 0.0, 1.0)  # m
 _STEPS = 2**20 - 1
+_SLACK = 1e-4  # m: rounding
 _JOINTS, _OF_JOINT, _INFLUENCES = 55, 16, 4
 _ON_FLOOR, _PADDING = -2.0, -1.0  # instead of extents
 _POSING = np.dtype(
@@ -91,6 +92,7 @@ class RestDevice:
         size, alive, lying: splats, those that can show, and those of them that lie on the floor.
         reach: how far from each joint what hangs on it is (-1: nothing does), and its place at
             rest [55, 4] m.
+        widest: the largest reach of a splat from its centre [m].
         labels: of the splats.
     """
 
@@ -102,6 +104,7 @@ class RestDevice:
     alive: int
     lying: int
     reach: F64
+    widest: float
     labels: CloudLabels | None
 
     @property
@@ -185,6 +188,7 @@ def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
         alive=alive,
         lying=cloud.lying,
         reach=_find_reach(cloud, joint, body),
+        widest=EXTENT_MAX * float(cloud.scales.max(initial=0.0)) * 1.0001,
         labels=None if cloud.label is None else CloudLabels(cloud.label),
     )
 
@@ -201,7 +205,8 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
     joints = np.zeros((len(wanted), _JOINTS, _OF_JOINT), np.float32)
     floors = np.zeros((sum(one.rest.lying for one in wanted) + 1, 4), np.float32)
     jobs, clouds, at, block = np.zeros(len(wanted), _POSING), [], 0, 0
-    steps = [_choose_step(one, n) for n, one in enumerate(wanted)]
+    capsules = [_find_capsule(one) for one in wanted]
+    steps = [_choose_step(box, n) for n, box in enumerate(capsules)]
     for n, one in enumerate(wanted):
         joints[n, :, :12], joints[n, :, 12:] = one.transforms.reshape(_JOINTS, 12), one.turns
         floors[at : at + one.rest.lying, :3] = one.floor[:, :3]
@@ -237,6 +242,7 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
                 labels=rest.labels,
                 rest=rest.rest,
                 step=step,
+                bounds=capsules[n],
             )
         )
     record = PoseSplats(device.upload(jobs.view(np.uint64)), np.uint32(len(wanted)))
@@ -292,19 +298,33 @@ class SlotFinder:
         return np.zeros(0, np.uint32) if self._held is None else self._held[2].numpy()
 
 
-def _choose_step(one: Posing, number: int) -> float:
-    """The finest step [m] that holds a pose: all of it is in reach of where its joints go."""
-    # what hangs on a joint at its place at rest goes where the transform takes that
-    where = one.transforms[:, :, 3]
+def _find_capsule(one: Posing) -> F32:
+    """A box that holds all of a pose, and the largest reach of a splat [7]; without its splats.
+
+    What hangs on joints is a mean of places none of which is further from where a joint goes than
+    it was at rest.
+    """
     hangs = one.rest.reach[:, 0] >= 0
-    placed = np.einsum("jab,jb->ja", one.transforms[:, :, :3], one.rest.reach[:, 1:]) + where
-    far = np.abs(placed - _MIDDLE).max(axis=1) + one.rest.reach[:, 0]
-    most = max(float(far[hangs].max(initial=0.1)), float(np.abs(one.floor[:, :2]).max(initial=0.0)))
-    most = max(most, _MIDDLE[2])
+    reach, at = one.rest.reach[hangs, :1], one.rest.reach[hangs, 1:]
+    placed = np.einsum("jab,jb->ja", one.transforms[hangs, :, :3], at) + one.transforms[hangs, :, 3]
+    corners = np.concatenate([placed - reach, placed + reach, one.floor[:, :3], [_MIDDLE]])
+    found = np.empty(7, np.float32)
+    found[:3], found[3:6] = corners.min(axis=0) - _SLACK, corners.max(axis=0) + _SLACK
+    found[6] = one.rest.widest
+    return found
+
+
+def _choose_step(box: F32, number: int) -> float:
+    """The finest step [m] that holds a box of centres.
+
+    Raises:
+        RenderError: it is too coarse.
+    """
+    most = max(float(np.abs(box[:6].reshape(2, 3) - _MIDDLE).max()), 0.5)
     step = float(np.float32(most / _STEPS))
     if not step <= STEP_MOST:
         raise RenderError(
-            f"it reaches {most:.1f} m from its middle; 16 bytes a splat hold {_STEPS * STEP_MOST:.1f}",
+            f"it reaches {most:.1f} m from its middle; 16 bytes hold {_STEPS * STEP_MOST:.1f} m",
             where=f"pose {number}",
             remedy="name its cloud to the renderer instead (name_cloud), which is not packed so",
         )

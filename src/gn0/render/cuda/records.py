@@ -132,11 +132,13 @@ class WriteParts(NamedTuple):
     base: np.uint32
     known: np.uint32
     normals: DeviceArray
+    bounds: DeviceArray | None
     tolerance: np.float64
     first: np.uint32
     count_: np.uint32
     all: np.uint32
     instances: np.uint32
+    flags: np.uint32
     like: np.void
     views: DeviceArray
     parts: DeviceArray

@@ -30,14 +30,17 @@ def kernel_source(tuning: Tuning, *, parts: bool = False) -> KernelSource:
     return KernelSource("parts" if parts else "draw", files, _constants(tuning, parts))
 
 
-def label_source(tuning: Tuning, *, parts: bool = False, codes: int = CODES) -> KernelSource:
-    """The kernels that find labels, without instances or with.
+def label_source(
+    tuning: Tuning, *, parts: bool = False, codes: int = CODES, who: bool = False
+) -> KernelSource:
+    """The kernels that find labels, without instances or with; or `who` is who of these.
 
     Apart from the others, so that these are the same machine code with labels and without.
     """
     more = (
         ("OBJECT_BITS", OBJECT_BITS),
         ("ROOM", codes),
+        ("WHO", int(who)),
         ("LABEL_BLOCKS", max(tuning.blocks - 2, 1)),  # pixels have more to remember than colours
     )
     name = "label_parts" if parts else "labels"
@@ -63,4 +66,4 @@ SOURCES = tuple(
     for source in (kernel_source, label_source)
     for parts in (False, True)
     for tuning in (MANY, FEW)
-)
+) + tuple(label_source(tuning, parts=True, who=True) for tuning in (MANY, FEW))

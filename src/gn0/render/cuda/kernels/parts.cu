@@ -69,13 +69,14 @@ __device__ __forceinline__ u32 find_whose(const int *__restrict__ firsts, u32 ea
 // Behind `write_views`, which has written views `first` to `first + count` of `all`: the views
 // [instances] of instances behind them, from world-to-camera `matrices` [all, 4, 4] and part-to-world
 // `poses` [instances, 4, 4]; and what painting needs of each. `chosen` numbers their clouds, `known`
-// ones from `clouds + base` on, with normals at `normals`. `gains` [instances, 4, 3] may be null.
+// ones from `clouds + base` on, with normals at `normals`, in `bounds` (null: anywhere). `gains` [instances, 4, 3] may be null.
 // Double precision, operation for operation as `gn0.render.cuda.instances` does it.
 KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restrict__ poses,
                     const float *__restrict__ gains, const int *__restrict__ chosen,
                     const int *__restrict__ firsts, u32 each, const Cloud *__restrict__ clouds,
-                    u32 base, u32 known, const u64 *__restrict__ normals, double tolerance, u32 first,
-                    u32 count, u32 all, u32 instances, View like, View *views, Part *parts) {
+                    u32 base, u32 known, const u64 *__restrict__ normals,
+                    const float *__restrict__ bounds, double tolerance, u32 first, u32 count, u32 all,
+                    u32 instances, u32 flags, View like, View *views, Part *parts) {
   u32 i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i < count) {
     int begin = firsts ? firsts[first + i] : (int)((first + i) * each);
@@ -115,7 +116,9 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
     for (int k = 0; k < 9; k++) like.r[k] = (float)r[k];
     for (int k = 0; k < 3; k++) like.eye[k] = (float)-(r[k] * t[0] + r[3 + k] * t[1] + r[6 + k] * t[2]);
     like.near = near, like.far = far;
-    like.cloud = base + (u32)number;
+    // whose capsule is out of sight is listed nowhere
+    bool sight = !bounds || is_in_sight(bounds + (u64)number * 7, like, flags);
+    like.cloud = sight ? base + (u32)number : NOWHERE;
     part.cloud = clouds[base + number];
     if (gains) {
       const float *g = gains + (u64)i * 12;

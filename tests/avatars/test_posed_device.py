@@ -38,8 +38,11 @@ class Posture:
     """The small person in a stride so far into it."""
 
     bend: float = 0.0
-    avatar: Avatar = small_person(0, 0.1)
     rest_key: str = "small"
+
+    @property
+    def avatar(self) -> Avatar:
+        return small_person(0, 0.1)
 
     def turn(self) -> tuple[F64, F64]:
         pose = np.array(stride_pose())

@@ -55,7 +55,7 @@ class Walkers:
 
     def wanted(self, turn: int) -> list[tuple[Hashable, PoseShown]]:
         """Keys of a bank, and what poses them, of picture `turn`."""
-        found = []
+        found: list[tuple[Hashable, PoseShown]] = []
         for k, actor in enumerate(self.actors):
             shown = Shown(
                 *("walk", (turn + 8 * k) % PHASES, "", 0, 4, speed_class(1.0), look_class(0.0)),

@@ -10,7 +10,6 @@ the sort keys themselves, so the order in which atomics served them cannot show.
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,7 +26,9 @@ from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import Instances, build_parts, mark_firsts
 from gn0.render.cuda.labels import LabelDrawer
 from gn0.render.cuda.lists import Blend, Lists
+from gn0.render.cuda.pictures import lay_pictures
 from gn0.render.cuda.records import (
+    BringClouds,
     CountEntries,
     EmitEntries,
     MarkTarget,
@@ -49,6 +50,7 @@ from gn0.render.cuda.replay import (
 from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import (
     CHUNK,
+    CLOUD,
     GROUP,
     TARGET,
     VIEW,
@@ -60,9 +62,8 @@ from gn0.render.cuda.tables import (
 )
 from gn0.render.cuda.tune import MANY, Tuning, choose_tuning
 from gn0.render.cuda.work import Work, WorkDevice
-from gn0.render.renderer import LABELS, Output
+from gn0.render.renderer import Output
 
-_FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
@@ -72,10 +73,9 @@ _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
 _ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
 _VIEW_WORDS = VIEW.itemsize // 4
+_CLOUD_WORDS = CLOUD.itemsize // 4
 _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
-_ROW = 256  # bytes that pictures sharing memory are laid out by
-_TOGETHER = 2**26  # bytes of pictures up to which they share memory
 _NOTHING_SENT = SentWords(None, None, np.uint32(0))  # but by a call that is replayed
 
 _log = logging.getLogger(__name__)
@@ -112,7 +112,7 @@ class Drawer:
         self._first_density = 0.5
         self._said = False
         self._plan: tuple[tuple[object, ...], Shares, list[DeviceArray]] | None = None
-        self._named: tuple[bytes, DeviceArray] | None = None
+        self._named: tuple[tuple[bytes, int], DeviceArray] | None = None
         self._lit: tuple[bytes, DeviceArray] | None = None
         self._longest: dict[tuple[object, ...], int] = {}  # entries of a list, by picture
         self._exact = False  # whether the next batch counts all splats: a sample fell short
@@ -130,33 +130,7 @@ class Drawer:
         Raises:
             DeviceMemoryError: there is not so much.
         """
-        shape = (count, camera.height, camera.width)
-        pixels, kind = math.prod(shape), np.dtype(np.float32 if rgb_float else np.uint8)
-        parts = [
-            (name in outputs, pixels * size, dims, what)
-            for name, size, dims, what in (
-                ("rgb", 3 * kind.itemsize, (*shape, 3), kind),
-                ("depth", 4, shape, _FLOAT),
-                ("alpha", 4, shape, _FLOAT),
-                *((name, 4, shape, np.dtype(np.uint32)) for name in LABELS),
-            )
-        ]
-        size = sum(-(-size // _ROW) * _ROW for wanted, size, _, _ in parts if wanted)
-        if size > _TOGETHER:  # whoever keeps one of them should not keep all
-            return PicturesDevice(
-                *(
-                    self.device.empty(dims, what) if wanted else None
-                    for wanted, _, dims, what in parts
-                )
-            )
-        whole, at, arrays = self.device.empty(size, np.uint8), 0, []
-        for wanted, size, dims, what in parts:
-            place = whole.pointer + at
-            arrays.append(
-                DeviceArray(self.device, place, dims, what, whole.owner) if wanted else None
-            )
-            at += -(-size // _ROW) * _ROW if wanted else 0
-        return PicturesDevice(*arrays)
+        return lay_pictures(self.device, camera, count, outputs, rgb_float)
 
     def draw(
         self,
@@ -173,6 +147,7 @@ class Drawer:
         rows: NDArray[np.int64] | None = None,
         background: F32,
         antialiased: bool = False,
+        who: bool = False,
     ) -> None:
         """Draw views into `pictures`.
 
@@ -196,6 +171,8 @@ class Drawer:
             rows: [V] rows of `pictures` that the views fill; their own numbers when None.
             background: float32 [3].
             antialiased: compensate opacity for the dilation.
+            who: `pictures.instance`, which is all that is asked for, gets numbers of instances by
+                their place in the view, from 1; of views that the host has.
 
         Raises:
             RenderError: a view or an instance on the device is not finite, not rigid, or of no
@@ -218,7 +195,7 @@ class Drawer:
                 *(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows),
                 instances=instances,
             )
-        labels = self._labels.prepare(work, clouds, pictures)
+        labels = self._labels.prepare(work, clouds, pictures, who=who)
         target = PaintTarget(None, build_target(pictures, background))
         alone = labels is not None and labels.alone
         self._run(work, Blend(None if alone else target, labels), antialiased)
@@ -522,7 +499,10 @@ class Drawer:
             self._need("groups", known * GROUP.itemsize // 4, np.uint32),
             self._need("members", count + many, np.uint32),
         ]
-        shown = [(work.chunks[: work.base], count), (work.chunks[work.base :], many)]
+        of_parts = work.chunks[work.base :]
+        if own and work.part_table is not None:  # whatever stands there when it is drawn again
+            of_parts = np.full(min(many, len(of_parts)), work.part_table.most)
+        shown = [(work.chunks[: work.base], count), (of_parts, many)]
         return choose_shares(shown, *self.tuning.shares), tables, known, view_table
 
     def _write_views(
@@ -544,9 +524,15 @@ class Drawer:
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
         """Let the device write the views of instances behind the others."""
+        kernels, table = self._kernels_for(work), work.part_table
         parts = lists.to_write_parts(work, instances, self._normals(instances))
+        if table is not None:
+            behind = lists.clouds[work.base * _CLOUD_WORDS :]
+            words = len(table) * _CLOUD_WORDS
+            bring = BringClouds(table.rows.reshape(words), np.uint32(words), behind)
+            kernels["bring_clouds"].launch(-(-words // 256), 256, bring)
         blocks = -(-max(len(instances), lists.count) // 128)
-        self._kernels_for(work)["write_parts"].launch(blocks, 128, parts)
+        kernels["write_parts"].launch(blocks, 128, parts)
 
     def record(
         self,
@@ -570,7 +556,8 @@ class Drawer:
             chosen: [V] which of `clouds` a view shows; all show the first when None.
             floors: as in `draw`.
             instances: as in `draw`, on the host: their clouds, how many there are of each view,
-                and whether they have gains. Poses and gains are said with those of the views.
+                and whether they have gains. Poses and gains are said with those of the views; of
+                a table also which of its clouds stand there.
             antialiased: as in `draw`.
 
         Raises:
@@ -579,12 +566,16 @@ class Drawer:
         """
         many = 0 if instances is None else len(instances)
         lit = instances is not None and instances.gains is not None
-        header = ReplayHeader(self.device, count, many, lit=lit)
+        free = instances is not None and instances.table is not None
+        header = ReplayHeader(self.device, count, many, lit=lit, free=free)
         which = None if chosen is None else self.device.upload(chosen)
         placed: Instances | None = None
         if instances is not None and many:
             gains = header.gains if lit else None
-            placed = replace(instances, poses=header.part_poses, gains=gains).place(self.device)
+            placed = replace(instances, poses=header.part_poses, gains=gains)
+            if free:
+                placed = replace(placed, chosen=header.chosen)
+            placed = placed.place(self.device)
         work = WorkDevice(camera, header.poses, clouds, which, floors, placed)
         self._begin(work)
         if self._fit(work, 0) < count:
@@ -626,13 +617,17 @@ class Drawer:
         """The table of clouds alone; kept while calls name the same ones."""
         if own:
             return self.device.upload(work.table.view(np.uint32))
-        key = work.table.tobytes()
+        key = (work.table[: work.base].tobytes(), len(work.table))  # what follows comes each call
+        if work.part_table is None:
+            key = (work.table.tobytes(), 0)
         if self._named is None or self._named[0] != key:
             self._named = (key, self._upload("clouds", work.table))
         return self._named[1]
 
     def _normals(self, instances: Instances) -> DeviceArray:
         """Where normals of clouds lie; kept while calls name the same ones."""
+        if instances.table is not None:
+            return instances.table.normals
         table = instances.normals
         if self._lit is None or self._lit[0] != table.tobytes():
             self._lit = (table.tobytes(), self.device.upload(table))

@@ -31,6 +31,11 @@ CAPTIONS = {
     "bev": "BEV, the next 3 m",
     "occupancy": "occupancy, the next 3 m",
 }
+TRACKING = {
+    "history": "history: black in TRACKING samples",
+    "bev": "BEV, the next 1.5 m",
+    "occupancy": "occupancy, the next 1.5 m",
+}
 
 
 def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.Image:
@@ -105,10 +110,8 @@ def _draw_line(
         x += tile.width + GAP
     draw = ImageDraw.Draw(line)
     x = 0
-    captions = [text for name, text in CAPTIONS.items() if name in pictures]
-    if rows.person:
-        captions = [text.replace("3 m", "1.5 m") for text in captions]
-        captions[list(pictures).index("history")] = "history: black, as TRACKING samples have it"
+    known = CAPTIONS | TRACKING if rows.person else CAPTIONS
+    captions = [text for name, text in known.items() if name in pictures]
     for tile, caption in zip(tiles, captions, strict=True):
         draw.text((x, HEIGHT + 4), caption.format(far=far), SOFT, ImageFont.load_default(12))
         x += tile.width + GAP

@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from gn0.avatars import generate_bank
 from gn0.cli.main import main
 from gn0.data import part as part_module
 from gn0.data.build import build_dataset, build_shard
@@ -24,6 +23,7 @@ from gn0.data.dataset_stats import measure_dataset
 from gn0.data.episode_frames import read_frames
 from gn0.data.expert_labels import LabelSettings
 from gn0.data.merge import merge_shards
+from gn0.data.picture_build import render_dataset
 from gn0.data.repair import repair_dataset
 from gn0.data.sample_sheet import draw_sheet
 from gn0.data.sample_table import (
@@ -38,17 +38,21 @@ from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.step_people import StepPeople
 from gn0.data.verify import verify_dataset
 from gn0.errors import EpisodeError, FormatError
-from gn0.missions.episode import AgentSpec, Episode, MissionFollow, MissionGoal
-from gn0.people.person import EpisodePerson
 from gn0.policies.bae.prompt_fields import render_prompt, sample_answer, sample_state
 from gn0.policies.bae.prompt_template import load_prompt
-from gn0.scenes.example import build_example_scene
-from gn0.scenes.folder import load_scene, save_scene
-from gn0.scenes.scene import Scene
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
 from gn0.suites import scene_drawing
-from gn0.suites.suite import Suite, save_suite
+from gn0.suites.suite import Suite
+from gn0_trials.people_samples import (
+    BODY,
+    CAMERA,
+    REFERENCE,
+    goal_episode,
+    save_bank,
+    save_peopled,
+    save_some,
+)
 
 
 def make_rows(episode_id: str = "a") -> EpisodeRows:
@@ -66,62 +70,17 @@ def make_rows(episode_id: str = "a") -> EpisodeRows:
     )
 
 
-BODY = AgentSpec(radius=0.25, step_seconds=0.2)
-CAMERA = "tiny_128"
 SMALL = {"chunk": 2}
 
 
 @pytest.fixture(scope="module")
 def bank(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bank")
-    generate_bank(folder, count=2, seed=1, density=0.03)
-    return folder
-
-
-def save_flat(folder: Path) -> Scene:
-    save_scene(replace(build_example_scene(), id="flat"), folder / "flat")
-    return load_scene(folder / "flat")
-
-
-def goal_episode(name: str, *people: EpisodePerson) -> Episode:
-    goal = MissionGoal(goal=(3.3, 2.5), object_id="", category="bed", instruction="Go there.")
-    return Episode(
-        id=name, scene_id="flat", mission=goal, start=(1.3, 2.5, 0.0),
-        path=((1.3, 2.5), (3.3, 2.5)), people=people, split="train", path_id=name, agent=BODY,
-    )  # fmt: skip
-
-
-def follow_episode(bank_hash: str) -> Episode:
-    """A person walks ahead, another stands aside; the agent goes after the first."""
-    person = EpisodePerson(
-        number=5, identity="p0000", bank=bank_hash, path=((2.6, 2.5), (3.8, 2.5)), speed=0.8
-    )
-    other = EpisodePerson(
-        number=2, identity="p0001", path=((2.6, 1.4),), behaviour="stand", yaw=2.0
-    )
-    mission = MissionFollow(
-        goal=(3.8, 2.5), instruction="Follow the one ahead.", human="p0000", person=5,
-        category="cruise", level="distractors", distance=1.2, seconds=3.0, actions="110101023100",
-    )  # fmt: skip
-    return Episode(
-        id="c-follow", scene_id="flat", mission=mission, start=(1.3, 2.5, 0.0),
-        path=((1.3, 2.5), (2.8, 2.5)), people=(other, person), split="train", path_id="c", agent=BODY,
-    )  # fmt: skip
+    return save_bank(tmp_path_factory.mktemp("bank"))
 
 
 @pytest.fixture(scope="module")
 def suite(bank: Path, tmp_path_factory: pytest.TempPathFactory) -> Suite:
-    """One episode with nobody, one among people, one behind a person."""
-    hashed = json.loads((bank / "bank.json").read_text())["hash"]
-    crosser = EpisodePerson(
-        number=3, identity="p0001", path=((2.3, 1.4), (2.3, 2.6)), speed=0.6, after="back"
-    )
-    episodes = [goal_episode("a-alone"), goal_episode("b-crossed", crosser), follow_episode(hashed)]
-    folder = tmp_path_factory.mktemp("peopled")
-    scene = save_flat(folder)
-    return save_suite(
-        folder / "suite", [scene], episodes, name="peopled", max_steps=60, camera=CAMERA, agent=BODY
-    )
+    return save_peopled(tmp_path_factory.mktemp("peopled") / "suite", bank)
 
 
 def settings_of(layout: str = "webdataset", **more: object) -> BuildSettings:
@@ -180,11 +139,7 @@ def test_people_change_the_pictures_that_show_them_and_nothing_else(data: Datase
 
 
 def test_tables_and_datasets_of_nobody_stay_as_they_were(suite: Suite, tmp_path: Path) -> None:
-    scene = save_flat(tmp_path)
-    bare = save_suite(
-        tmp_path / "bare", [scene], [goal_episode("a-alone")], name="bare", camera=CAMERA,
-        agent=BODY,
-    )  # fmt: skip
+    bare = save_some(tmp_path / "bare", goal_episode("a-alone"))
     made = build_dataset(bare, tmp_path / "data", settings_of("none"))
     told = json.loads((made.folder / "dataset.json").read_text())
     assert told["samples"] == 1 and "bank" not in told
@@ -224,6 +179,17 @@ def test_one_or_two_workers_shards_or_a_stop_in_between_give_the_same_bytes(
     assert files_of(tmp_path / "merged") == wanted
 
 
+def test_labels_first_and_pictures_later_is_the_same(
+    suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path
+) -> None:
+    plain = BuildSettings(pictures=PictureSettings(layout="none"), **SMALL)  # type: ignore[arg-type]
+    made = build_dataset(suite, tmp_path / "data", plain, bank=bank)
+    assert made.rows("c-follow").seen is None
+    render_dataset(made.folder, data.about.settings.pictures)
+    ours, wanted = files_of(made.folder), files_of(data.folder)
+    assert {name for name in wanted if ours[name] != wanted[name]} == {"dataset.json"}
+
+
 def test_the_process_that_draws_for_all_gives_the_same_bytes(
     suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
 ) -> None:
@@ -234,7 +200,7 @@ def test_the_process_that_draws_for_all_gives_the_same_bytes(
 
 def test_tracking_samples_say_what_the_reference_does_and_where_it_walks(data: Dataset) -> None:
     rows = data.rows("c-follow")
-    done = [int(digit) for digit in "110101023100"]
+    done = [int(digit) for digit in REFERENCE]
     assert (rows.person, rows.task, rows.points) == (5, "TRACKING", 7)
     assert rows.executed.tolist() == done
     padded = done + [0] * 6

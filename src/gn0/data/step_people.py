@@ -218,7 +218,7 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
         "person": (
             (person < 0) | (person > PEOPLE_MOST) | ((person > 0) & (count == 0))
             | (person != person[first]),
-            f"is no number of a person, 0 to {PEOPLE_MOST}, or another than before",
+            f"is not the number of a person, 0 to {PEOPLE_MOST}, or another than before",
         ),
         "people_seen": (
             ((seen != 0) & (seen != SEEN * count)) | (seen != seen[first]),

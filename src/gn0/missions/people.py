@@ -85,7 +85,7 @@ def refuse_people(episodes: Iterable[_Peopled], what: str) -> None:
 
     Args:
         episodes: all of them.
-        what: does not show people yet: "samples".
+        what: does not show people yet: "environments on a device".
 
     Raises:
         EpisodeError: names the first one that has people.
@@ -95,7 +95,8 @@ def refuse_people(episodes: Iterable[_Peopled], what: str) -> None:
         raise EpisodeError(
             f"has {len(found.people)} people, and {what} do not show people yet",
             where=f"episode {found.id!r}",
-            remedy="make it without --people; gn0 bench run, Simulator and VectorEnv play people",
+            remedy="make it without --people; gn0 bench run, gn0 data build, Simulator and "
+            "VectorEnv play people",
         )
 
 

@@ -95,7 +95,7 @@ class Cast:
                 raise EpisodeError(
                     f"{person.identity!r} is of a bank of people, and none was given",
                     where=place,
-                    remedy="give bank=, or people of identities drawn:SEED:NUMBER",
+                    remedy="give bank= (--bank), or people of identities drawn:SEED:NUMBER",
                 )
             if person.bank and person.bank != self.bank.content_hash:
                 raise EpisodeError(

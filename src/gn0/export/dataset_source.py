@@ -17,7 +17,7 @@ from gn0.data.sample_table import EpisodeRows
 from gn0.export.trips import ExportSource, Frame, MapView, SceneCard, Sensors, Trip
 from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import Episode, MissionGoal
+from gn0.missions.episode import Episode, MissionFollow, MissionGoal
 from gn0.paper import STOP
 from gn0.scenes.folder import load_scene_file
 from gn0.sim.open import open_simulator
@@ -65,7 +65,9 @@ def open_source(path: Path | str, *, exact: bool = False) -> ExportSource:
 
 def episode_digest(episode: Episode) -> str:
     """What an export takes from an episode itself."""
-    return repr((episode.id, episode.split, episode.instruction, episode.path_id, episode.light))
+    told = (episode.id, episode.split, episode.instruction, episode.path_id, episode.light)
+    more = (episode.people,) if episode.people else ()  # digests of before there were people stay
+    return repr((*told, *more))
 
 
 def _grid(dataset: Dataset, scene: str) -> OccupancyGrid:
@@ -81,12 +83,13 @@ def _trips(dataset: Dataset) -> Iterator[Trip]:
 def build_trip(episode: Episode, rows: EpisodeRows) -> Trip:
     """A trip of an episode's samples; a walk that was cut off ends at its last sample."""
     moves = np.asarray(rows.executed, np.int8)
+    follows = isinstance(episode.mission, MissionFollow)
     return Trip(
         episode=episode,
         poses=np.asarray(rows.poses, np.float64),
         moves=moves[:-1],
         ahead=np.asarray(rows.actions, np.int8),
-        stopped=bool(moves[-1] == STOP),
+        stopped=bool(moves[-1] == STOP) and not follows,
         source=rows.source,
         rows=rows,
     )

@@ -7,12 +7,13 @@ the parent then names the part in the journal. What the journal names is done, w
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from gn0.avatars.bank import BANK_FILE, AvatarBank
 from gn0.data.build_folder import (
     parts_journal,
     read_done,
@@ -20,6 +21,7 @@ from gn0.data.build_folder import (
     write_journal,
 )
 from gn0.data.dataset import (
+    BANK_FOLDER,
     DATASET_FILE,
     DATASET_LAYOUT,
     JOURNAL,
@@ -38,7 +40,7 @@ from gn0.data.drawing_process import open_drawing
 from gn0.data.part import PartDone, PartPlan, check_plan, drawn_at
 from gn0.data.picture_build import finish_cache
 from gn0.data.picture_cache import check_cache_free
-from gn0.data.sample_table import SAMPLE_LAYOUT
+from gn0.data.sample_table import PEOPLE_LAYOUT, SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
 from gn0.data.shard import (
     SHARD_FILE,
@@ -52,7 +54,8 @@ from gn0.data.shard import (
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.locked_folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
-from gn0.missions.people import refuse_people
+from gn0.missions.episode import Episode
+from gn0.people.person import drawn_identity
 from gn0.progress import Progress, no_progress
 from gn0.render.share.client import DrawServer
 from gn0.storage import (
@@ -79,6 +82,7 @@ def build_dataset(
     gpus: float = 0,
     batch: int = 0,
     agents: int = 1,
+    bank: Path | str | None = None,
     server: DrawServer | None = None,
     progress: Progress = no_progress,
     note: Callable[[str], None] = lambda text: None,
@@ -95,6 +99,8 @@ def build_dataset(
         gpus: cards that Ray sets aside for each worker, which then draws for itself.
         batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
         agents: episodes that a policy is driven through side by side; never changes a byte.
+        bank: folder of the bank of people whom episodes name; those named are copied. It is not
+            needed for drawn people ("drawn:0:7").
         server: a drawing process with that backend, when one is running already.
         progress: progress sink.
         note: called with each thing that a person should be told, once.
@@ -102,13 +108,14 @@ def build_dataset(
     Raises:
         DataError: `out` holds another dataset or something else, a run is writing there, or the
             backend that is to draw is not here.
+        EpisodeError: an episode names somebody of a bank that is not given, or of another one.
         BenchError: a scene is missing or changed.
         StorageError: `out` cannot be written, or the disk is full.
     """
     _build(
         _load(episodes), Path(out), settings or BuildSettings(), None, workers=workers,
         executor=executor, ray_address=ray_address, gpus=gpus, batch=batch, agents=agents,
-        server=server, progress=progress, note=note,
+        bank=bank, server=server, progress=progress, note=note,
     )  # fmt: skip
     return open_dataset(out)
 
@@ -125,6 +132,7 @@ def build_shard(
     gpus: float = 0,
     batch: int = 0,
     agents: int = 1,
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
     note: Callable[[str], None] = lambda text: None,
 ) -> ShardFile:
@@ -143,18 +151,19 @@ def build_shard(
         gpus: see `build_dataset`.
         batch: see `build_dataset`.
         agents: see `build_dataset`.
+        bank: see `build_dataset`.
         progress: progress sink.
         note: called with each thing that a person should be told, once.
 
     Raises:
         ConfigError: there is no such shard.
-        DataError, BenchError, StorageError: see `build_dataset`.
+        DataError, EpisodeError, BenchError, StorageError: see `build_dataset`.
     """
     name = ShardName.parse(shard) if isinstance(shard, str) else shard
     _build(
         _load(episodes), Path(out), settings or BuildSettings(), name, workers=workers,
         executor=executor, ray_address=ray_address, gpus=gpus, batch=batch, agents=agents,
-        server=None, progress=progress, note=note,
+        bank=bank, server=None, progress=progress, note=note,
     )  # fmt: skip
     return load_shard(out)
 
@@ -175,12 +184,13 @@ def _build(
     gpus: float,
     batch: int,
     agents: int,
+    bank: Path | str | None,
     server: DrawServer | None,
     progress: Progress,
     note: Callable[[str], None],
 ) -> None:
-    refuse_people(suite.episodes, "samples")
-    about = describe_dataset(suite, settings)
+    named = find_bank(suite.episodes, bank)
+    about = describe_dataset(suite, settings, named)
     every = plan_parts(suite, out, about.settings.chunk)
     plans = every
     if shard is not None:
@@ -212,7 +222,8 @@ def _build(
             pictures, executor=executor, gpus=gpus, batch=batch, server=server, note=note
         ) as drawing:
             if found is None:
-                found = _lay_out(out, suite, about, {plan.scene for plan in plans}, progress)
+                needed = {plan.scene for plan in plans}
+                found = _lay_out(out, suite, about, needed, named, progress)
             done = read_done(out / JOURNAL)
             parts = run_parts(
                 "build_part",
@@ -237,7 +248,27 @@ def _build(
             save_shard(out, shard, found, every, made)
 
 
-def describe_dataset(suite: Suite, settings: BuildSettings) -> DatasetFile:
+def find_bank(episodes: Sequence[Episode], bank: Path | str | None) -> AvatarBank | None:
+    """The bank of the people whom episodes name; None where they name nobody.
+
+    Raises:
+        EpisodeError: somebody is not in it, or is of another bank; or there is none.
+        StorageError, FormatError: it cannot be read.
+    """
+    named = [e for e in episodes if any(drawn_identity(p.identity) is None for p in e.people)]
+    found = None if bank is None or not named else AvatarBank(bank)
+    if any(episode.people for episode in episodes):
+        from gn0.people.cast import Cast  # bodies are needed only where there are people
+
+        cast = Cast(found)
+        for episode in episodes:
+            cast.check(episode.people, f"episode {episode.id!r}")
+    return found
+
+
+def describe_dataset(
+    suite: Suite, settings: BuildSettings, bank: AvatarBank | None = None
+) -> DatasetFile:
     """What a dataset is, before any of it is made: what decides its bytes."""
     from gn0 import __version__
 
@@ -255,13 +286,14 @@ def describe_dataset(suite: Suite, settings: BuildSettings) -> DatasetFile:
         )
     return DatasetFile(
         layout=DATASET_LAYOUT,
-        samples=SAMPLE_LAYOUT,
+        samples=PEOPLE_LAYOUT if any(e.people for e in suite.episodes) else SAMPLE_LAYOUT,
         suite=SuiteOrigin(name=suite.name, version=suite.about.version, hash=suite.hash),
         camera=suite.about.camera,
         agent=suite.about.agent,
         settings=settings,
         scenes=tuple(scenes),
         software=f"gn0 {__version__}",
+        bank=msgspec.UNSET if bank is None else bank.content_hash,
     )
 
 
@@ -288,7 +320,7 @@ def check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
         DataError: the folder holds something else.
     """
     if not (out / DATASET_FILE).is_file():
-        ours = {LOCK, SCENE_FOLDER, EPISODE_FILE, MANIFEST, PROBE}
+        ours = {LOCK, SCENE_FOLDER, BANK_FOLDER, EPISODE_FILE, MANIFEST, PROBE}
         names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
         others = [n for n in names if n not in ours and not n.startswith(TEMPORARY_PREFIX)]
         if others or (SCENE_FOLDER in names and LOCK not in names):
@@ -334,9 +366,14 @@ def tell_difference(found: Any, wanted: Any) -> str:
 
 
 def _lay_out(
-    out: Path, suite: Suite, about: DatasetFile, needed: set[str], progress: Progress
+    out: Path,
+    suite: Suite,
+    about: DatasetFile,
+    needed: set[str],
+    bank: AvatarBank | None,
+    progress: Progress,
 ) -> DatasetFile:
-    """Scenes, episodes, and the description that makes the folder ours.
+    """Scenes, people, episodes, and the description that makes the folder ours.
 
     A shard is given the scenes that its parts need; the first one also those without episodes.
     """
@@ -357,6 +394,9 @@ def _lay_out(
             if path.is_file():
                 records.append(record_path(out, path))
     progress("scenes", len(here), len(here))
+    if bank is not None:
+        for path in _copy_bank(bank, suite.episodes, out / BANK_FOLDER):
+            records.append(record_path(out, path))
     for name in (EPISODE_FILE, MANIFEST):  # generated missions say how they came about
         if (suite.folder / name).is_file():
             write_bytes(out / name, read_bytes(suite.folder / name))
@@ -364,6 +404,16 @@ def _lay_out(
     found = msgspec.structs.replace(about, files=tuple(sorted(records, key=lambda r: r.path)))
     save_dataset_file(out, found)
     return found
+
+
+def _copy_bank(bank: AvatarBank, episodes: Sequence[Episode], folder: Path) -> list[Path]:
+    """The list of a bank, and the files of those of its people whom episodes name."""
+    named = {person.identity for episode in episodes for person in episode.people}
+    names = [BANK_FILE, *(f"{name}.npz" for name in bank.names if name in named)]
+    paths = [safe_join(folder, name) for name in names]
+    for name, path in zip(names, paths, strict=True):
+        write_bytes(path, read_bytes(safe_join(bank.folder, name)))
+    return paths
 
 
 def record_path(root: Path, path: Path) -> FileRecord:

@@ -41,14 +41,15 @@ from gn0.data.field_labels import label_poses
 from gn0.data.sample_table import NO_TOKEN, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
 from gn0.data.step_people import StepPeople
+from gn0.data.walked_way import walked_way
 from gn0.data.waypoints import sample_way_points
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError, PolicyError, SimError
-from gn0.geometry import F32, F64, Pose2D, wrap_angle
+from gn0.geometry import F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
 from gn0.missions.generate.follow_sight import sight_grid
-from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS, SPACING
+from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS
 from gn0.people.crowd import CrowdState
 from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
@@ -476,30 +477,6 @@ def _demonstration(
         valid=valid,
         source="demonstration",
     )
-
-
-def walked_way(poses: F64, end: tuple[float, float]) -> tuple[F32, I8]:
-    """The next 3 m of a walk from each of its states, as `Labels.waypoints` tells them.
-
-    Args:
-        poses: [T, 3] x, y [m] and yaw [rad].
-        end: where the walk ended [m].
-
-    Returns:
-        Points [T, 13, 2] m in the agent's frame, the last repeated where the walk ends, and how
-        many are no repetitions [T].
-    """
-    line = np.vstack([poses[:, :2], end])
-    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    rest = along[-1] - along[:-1]
-    ahead = along[:-1, None] + np.minimum(SPACING * np.arange(POINTS), rest[:, None])
-    offset = np.stack([np.interp(ahead, along, line[:, axis]) for axis in (0, 1)], axis=-1)
-    offset -= poses[:, None, :2]
-    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-    dx, dy = offset[..., 0], offset[..., 1]
-    waypoints = np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=-1)
-    valid = 1 + np.ceil(rest / SPACING - _SAME)
-    return waypoints.astype(np.float32), np.clip(valid, 1, POINTS).astype(np.int8)
 
 
 def check_options(options: Mapping[str, Any], secrets: tuple[str, ...]) -> None:

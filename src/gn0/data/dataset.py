@@ -3,6 +3,7 @@
 dataset.json            layout, camera, agent, suite, settings, scenes and their hashes, parts
 episodes.parquet        the episodes, as they were given
 scenes/<id>/            the scene folders (hard links where the file system allows)
+bank/                   those of a bank of people whom episodes name
 samples/<part>.parquet  a row a step, see `gn0.data.sample_table`; a part is a chunk of one scene
 pictures/<layout>/      the cache of pictures, which can be made again bit for bit
 journal.jsonl           what is done, while a build goes on and after it
@@ -22,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 
 from gn0.config import Config, decode_json
-from gn0.data.sample_table import SAMPLE_LAYOUT, EpisodeRows, decode_rows, load_sample_table
+from gn0.data.sample_table import SAMPLE_LAYOUTS, EpisodeRows, decode_rows, load_sample_table
 from gn0.data.settings import BuildSettings
 from gn0.errors import DataError, FormatError, StorageError
 from gn0.geometry import F64
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 DATASET_FILE, EPISODE_FILE, JOURNAL = "dataset.json", "episodes.parquet", "journal.jsonl"
 SAMPLE_FOLDER, SCENE_FOLDER, PICTURE_FOLDER = "samples", "scenes", "pictures"
+BANK_FOLDER = "bank"
 DATASET_LAYOUT = 1  # of dataset.json; raise it when a field changes its name or meaning
 _LIMIT = 2**30  # bytes of dataset.json
 
@@ -124,19 +126,20 @@ class DatasetFile(Config, frozen=True):
 
     Attributes:
         layout: version of this file's layout.
-        samples: version of the sample table's layout.
+        samples: version of the sample tables' layout: 2 where any episode has people.
         suite: where the episodes come from.
         camera: camera preset by name.
         agent: the body that moved.
         settings: what the build was asked for.
         scenes: sorted by id.
-        files: the episodes and every file of the scenes, as they were laid out.
+        files: the episodes and every file of the scenes and of the bank, as they were laid out.
         parts: sorted by name; empty until the build is complete.
         complete: whether the build has ended.
         rendered: whether the pictures' hashes are known.
         software: what wrote it.
         seal: digest of all the rest.
         shard: "i/n" of a shard, see `gn0.data.shard`; unset in a whole dataset.
+        bank: hash of the bank of people whom episodes name; unset where they name nobody.
     """
 
     layout: int
@@ -153,6 +156,7 @@ class DatasetFile(Config, frozen=True):
     software: str = ""
     seal: str = ""
     shard: str | msgspec.UnsetType = msgspec.UNSET
+    bank: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def stores_depth(self) -> bool:
@@ -327,6 +331,11 @@ class Dataset:
         turns = int((rows.executed == 2).sum()) - int((rows.executed == 3).sum())
         return x, y, heading_yaw(episode.start[2], turns, self.about.agent.turn_degrees)
 
+    @property
+    def bank(self) -> Path | None:
+        """The bank of people whom its episodes name; None where they name nobody."""
+        return None if self.about.bank is msgspec.UNSET else self.folder / BANK_FOLDER
+
     def about_scene(self, scene_id: str) -> DatasetScene:
         """What dataset.json says of a scene.
 
@@ -396,15 +405,16 @@ def load_dataset_file(folder: Path) -> DatasetFile:
         )  # fmt: skip
     data = read_bytes(path, _LIMIT)
     layouts = decode_json(data, dict, file=path)
-    for name, known in (("layout", DATASET_LAYOUT), ("samples", SAMPLE_LAYOUT)):
+    for name, known in (("layout", (DATASET_LAYOUT,)), ("samples", SAMPLE_LAYOUTS)):
         found = layouts.get(name)
-        if found == known:
+        if found in known and not isinstance(found, bool):
             continue
         if not isinstance(found, int) or isinstance(found, bool):
             raise FormatError("no layout version", file=path, field=name, remedy="restore the file")
         raise FormatError(
-            f"dataset layout {found}, this version reads {known}", file=path, field=name,
-            remedy="build the dataset again from its episodes" if found < known
+            f"dataset layout {found}, this version reads {' and '.join(map(str, known))}",
+            file=path, field=name,
+            remedy="build the dataset again from its episodes" if found < known[0]
             else "use a newer gn0",
         )  # fmt: skip
     about = decode_json(data, DatasetFile, file=path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,13 @@ from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import Dataset
 from gn0.data.part_pictures import eyes_of
 from gn0.data.picture_cache import load_manifest
-from gn0.data.sample_pictures import BATCH, draw_episode, goal_picture, map_picture
+from gn0.data.sample_pictures import (
+    BATCH,
+    StepCrowd,
+    draw_episode,
+    goal_picture,
+    map_picture,
+)
 from gn0.data.sample_table import DEPTH, EpisodeRows
 from gn0.errors import DataError
 from gn0.geometry import Pose2D
@@ -21,6 +27,7 @@ from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.depth import to_metres
 from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.presets import find_preset
+from gn0.sim.sensors import SensorSuite
 
 FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "ego_map", "goal_picture")
 Frame = dict[str, NDArray[Any]]
@@ -110,23 +117,24 @@ def _join(
     drawn = sensors - cached.keys()
     sources = dict(cached)
     if drawn:
-        eyes = eyes_of(dataset, dataset.about.settings.pictures).of(episode)
+        every = eyes_of(dataset, dataset.about.settings.pictures)
+        eyes, crowd = every.of(episode), every.crowd(episode, rows)
         if drawn & {"rgb", "history"}:
-            pictures = draw_episode(eyes, episode, rows.poses)
+            pictures = draw_episode(eyes, episode, rows.poses, crowd=crowd, black=bool(rows.person))
         else:
             pictures = iter(())
         start = Pose2D(*episode.start)
         goal = goal_picture(eyes, episode) if "goal_picture" in drawn else None
         for begin in range(0, len(rows), BATCH):
             poses = [Pose2D(*map(float, row)) for row in rows.poses[begin : begin + BATCH]]
-            depth = eyes.look_many(poses, frozenset({"depth"})) if "depth" in drawn else None
+            depth = _look_deep(eyes, poses, crowd, begin) if "depth" in drawn else None
             for index, pose in enumerate(poses):
                 frame: Frame = {name: next(source) for name, source in sources.items()}
                 seen = next(pictures, None)
                 for name in drawn & {"rgb", "history"}:
                     frame[name] = getattr(seen, name)
                 if depth is not None:
-                    frame["depth"] = np.asarray(depth["depth"][index])
+                    frame["depth"] = np.asarray(depth[index])
                 if goal is not None:
                     frame["goal_picture"] = goal
                 if "bev" in drawn:
@@ -139,3 +147,17 @@ def _join(
         return
     for _ in range(len(rows)):
         yield {name: next(source) for name, source in sources.items()}
+
+
+def _look_deep(
+    eyes: SensorSuite, poses: list[Pose2D], crowd: StepCrowd | None, begin: int
+) -> Sequence[NDArray[Any]]:
+    """Depth [H, W] m at the poses of the steps from `begin` on."""
+    wanted = frozenset({"depth"})
+    if crowd is None:
+        found: NDArray[Any] = eyes.look_many(poses, wanted)["depth"]
+        return list(found)
+    return [
+        eyes.look(pose, wanted, crowd.show(crowd.want([pose], begin + k))[0])["depth"]
+        for k, pose in enumerate(poses)
+    ]

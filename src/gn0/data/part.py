@@ -220,7 +220,13 @@ def walk_experts(
     """The expert's own rows of episodes of one scene, or why one cannot be walked."""
     for episode in episodes:
         try:
-            yield episode, collect_expert(navigation, episode, dataset)
+            if episode.people:
+                from gn0.data.expert_people import PeopleExpert  # others need no simulator
+
+                expert = dataset.kept.setdefault("people_expert", PeopleExpert(dataset))
+                yield episode, expert.collect(episode)
+            else:
+                yield episode, collect_expert(navigation, episode, dataset)
         except (EpisodeError, PlanError) as error:
             yield episode, error
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from gn0.data.picture_cache import DrawnStep
 from gn0.data.sample_pictures import (
     Painting,
     Seen,
+    StepCrowd,
     build_eyes,
     draw_episode,
     draw_files,
@@ -28,16 +30,20 @@ from gn0.data.sample_pictures import (
 from gn0.data.sample_table import DEPTH, PICTURES, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
-from gn0.geometry import U8, Pose2D
+from gn0.geometry import F32, U8, Pose2D
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.encoding import MapPicture
 from gn0.render.light import LightCondition
 from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
 from gn0.storage import RowDigest, content_hash, safe_join
 from gn0.suites.scene_drawing import Look
+
+if TYPE_CHECKING:
+    from gn0.sim.people_eyes import PeopleEyes
 
 PAINTED = 2**22  # pixels of a map at most that the drawing process paints dots on
 AHEAD = 64  # views drawn before they are wanted, where another process draws them
@@ -65,6 +71,8 @@ class Eyes:
     _suite: SensorSuite | None = field(default=None, repr=False)
     _connection: DrawConnection | None = field(default=None, repr=False)
     _bare: MapPicture | None = field(default=None, repr=False)
+    _people: PeopleEyes | None = field(default=None, repr=False)
+    _witness: tuple[SensorSuite, PeopleEyes] | None = field(default=None, repr=False)
     bev_hash: str = ""
 
     def __post_init__(self) -> None:
@@ -78,7 +86,8 @@ class Eyes:
         light = episode.light
         key = (episode.scene_id, None if light is None or light.is_neutral else light)
         if self._suite is None or self._key != key:
-            self._suite = self._bare = None  # let go of the old splats first
+            # let go of the old splats first
+            self._suite = self._bare = self._people = self._witness = None
             about = self.dataset.about
             self._suite = build_eyes(
                 self.dataset.scene(episode.scene_id),
@@ -93,6 +102,49 @@ class Eyes:
             self._key = key
             self.bev_hash = content_hash(map_picture(self._suite))
         return self._suite
+
+    def crowd(self, episode: Episode, rows: EpisodeRows) -> StepCrowd | None:
+        """The people of an episode, who are drawn with it; None of nobody.
+
+        Raises:
+            EpisodeError: the dataset's bank is another than an episode says.
+        """
+        suite = self.of(episode)
+        if rows.people is None:
+            return None
+        if self._people is None:
+            self._people = self._open_people(episode, suite)
+        self._people.cast.check(episode.people, f"episode {episode.id!r}")
+        focal = suite.config.preset.rgb.fx
+        return StepCrowd(self._people, episode.people, rows.people, focal)
+
+    def witness(self, episode: Episode, rows: EpisodeRows) -> Callable[[int, Pose2D], F32]:
+        """What tells how much is seen of each person at a step [P, 6]; see `StepCrowd.tell_who`.
+
+        It is drawn by the CPU, whatever draws the pictures: boxes are the same everywhere.
+        """
+        crowd = self.crowd(episode, rows)
+        assert crowd is not None and self._suite is not None and self._people is not None
+        if self._witness is None:
+            suite, people = self._suite, self._people
+            if self._connection is not None or self.settings.drawn_by != "cpu":
+                about, scene_id = self.dataset.about, episode.scene_id
+                suite = open_simulator(
+                    self.dataset.scene(scene_id), about.camera, "cpu", {"rgb"}, about.agent,
+                    navigation=self.dataset.navigation(scene_id),
+                ).suite  # fmt: skip
+                people = self._open_people(episode, suite)
+            self._witness = suite, people
+        own, eyes = self._witness
+        return partial(replace(crowd, eyes=eyes).tell_who, own)
+
+    def _open_people(self, episode: Episode, suite: SensorSuite) -> PeopleEyes:
+        from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only where there are people
+
+        assert suite.renderer is not None
+        scene = self.dataset.scene(episode.scene_id)
+        assert self._key is not None
+        return PeopleEyes(scene, suite.renderer, self.dataset.bank, self._key[1])
 
     def painting(self, episode: Episode, *, encode: bool) -> Painting | None:
         """What the drawing process needs for the occupancy pictures of an episode.
@@ -193,6 +245,7 @@ class PartDrawer:
         self._depth = bool(settings.depth or dataset.about.settings.pictures.depth)
         self._names = (*PICTURES, DEPTH) if self._depth else PICTURES
         self._hashes: list[dict[str, list[str]]] = []
+        self._seen: list[list[F32]] = []
         self.files: list[FileRecord] = []
 
     def steps(self) -> Iterator[DrawnStep]:
@@ -202,7 +255,7 @@ class PartDrawer:
             DataError: a picture is not the one that its row names.
         """
         row = 0
-        self._hashes = []
+        self._hashes, self._seen = [], []
         base: tuple[str, tuple[U8, str]] | None = None
         kept: list[DrawnStep] = []
         episodes = [self._dataset.episode(block.episode_id) for block in self._blocks]
@@ -214,6 +267,7 @@ class PartDrawer:
             for number, (episode, block) in enumerate(zip(episodes, self._blocks, strict=True)):
                 own: dict[str, list[str]] = {name: [] for name in self._names}
                 self._hashes.append(own)
+                self._seen.append([])
                 opened = next(seen)
                 assert isinstance(opened, Opened)
                 if kept:
@@ -229,6 +283,8 @@ class PartDrawer:
                     )
                     for name in self._names:
                         own[name].append(mine.hashes[name])
+                    if mine.pictures.people is not None:
+                        self._seen[number].append(mine.pictures.people)
                     if self._check:
                         _check(mine)
                     if again[number]:
@@ -256,14 +312,27 @@ class PartDrawer:
                 goal = (picture, content_hash(np.asarray(picture)))
             yield Opened(eyes, self._eyes.bev_hash, goal)
             if not (number and again[number - 1]):
-                if self._files and files_wanted(eyes, self._settings):
-                    every = self._settings.maps == "every"
-                    yield from draw_files(
-                        eyes, block.poses, self._settings.quality, depth=self._depth,
-                        painting=self._eyes.painting(episode, encode=every),
-                    )  # fmt: skip
-                else:
-                    yield from draw_views(eyes, block.poses, depth=self._depth)
+                views = self._see_views(eyes, episode, block)
+                yield from self._with_people(views, episode, block) if block.person else views
+
+    def _see_views(self, eyes: SensorSuite, episode: Episode, block: EpisodeRows) -> Iterator[Seen]:
+        crowd = self._eyes.crowd(episode, block)
+        if not (self._files and files_wanted(eyes, self._settings)):
+            return draw_views(eyes, block.poses, depth=self._depth, crowd=crowd)
+        every = self._settings.maps == "every"
+        return draw_files(
+            eyes, block.poses, self._settings.quality, depth=self._depth,
+            painting=self._eyes.painting(episode, encode=every), crowd=crowd,
+            black=bool(block.person),
+        )  # fmt: skip
+
+    def _with_people(
+        self, views: Iterator[Seen], episode: Episode, block: EpisodeRows
+    ) -> Iterator[Seen]:
+        """Views with how much is seen of each person, as TRACKING samples have it."""
+        tell = self._eyes.witness(episode, block)
+        for step, seen in enumerate(views):
+            yield replace(seen, people=tell(step, seen.pose))
 
     def _draw(
         self,
@@ -287,7 +356,8 @@ class PartDrawer:
                 assert isinstance(item, Seen)
                 yield item
 
-        for t, pictures in enumerate(draw_episode(eyes, episode, block.poses, views())):
+        steps = draw_episode(eyes, episode, block.poses, views(), black=bool(block.person))
+        for t, pictures in enumerate(steps):
             x, y = map(float, block.poses[t, :2])
             places = (start, frame.pixel_of(x, y))
             known = {"bev": opened.bev_hash}
@@ -303,7 +373,8 @@ class PartDrawer:
     def hashed_blocks(self) -> list[EpisodeRows]:
         """The rows with the hashes of what `steps` has drawn."""
         return [
-            block.with_hashes(own) for block, own in zip(self._blocks, self._hashes, strict=True)
+            block.with_hashes(own, np.stack(seen) if seen else None)
+            for block, own, seen in zip(self._blocks, self._hashes, self._seen, strict=True)
         ]
 
 
@@ -345,16 +416,34 @@ def look_ahead(source: Iterator[T], most: int) -> Iterator[T]:
 
 def _alike(one: Episode, rows: EpisodeRows, other: Episode, others: EpisodeRows) -> bool:
     """Whether two episodes show the same pictures: missions of one path in one light."""
-    return (one.scene_id, one.light, one.start) == (
-        other.scene_id,
-        other.light,
-        other.start,
-    ) and np.array_equal(rows.poses, others.poses)
+    if rows.people is not None:  # the same people, who do the same
+        alike = one.people == other.people and rows.people.same_as(others.people)
+    else:
+        alike = others.people is None
+    return (
+        alike
+        and (one.scene_id, one.light, one.start, rows.person)
+        == (other.scene_id, other.light, other.start, others.person)
+        and np.array_equal(rows.poses, others.poses)
+    )
+
+
+def sees_otherwise(step: DrawnStep) -> bool:
+    """Whether another part of somebody is seen than the step's row says."""
+    known, found = step.block.seen, step.pictures.people
+    return known is not None and found is not None and not np.array_equal(known[step.step], found)
 
 
 def _check(step: DrawnStep) -> None:
     if not step.block.hashes:
         return
+    if sees_otherwise(step):
+        raise DataError(
+            "more or less is seen of people than when the dataset was made",
+            where=f"episode {step.episode.id!r}, step {step.step}",
+            remedy="use the version of gn0 that dataset.json names, or restore the row "
+            "with `gn0 data repair`",
+        )
     for name, found in step.hashes.items():
         if name not in step.block.hashes:
             continue

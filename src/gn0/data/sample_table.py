@@ -17,13 +17,24 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from gn0.data.step_people import (
+    COLUMNS_PEOPLE,
+    SeenPerson,
+    StepPeople,
+    find_faults,
+    people_values,
+    read_people,
+)
 from gn0.errors import FormatError
 from gn0.geometry import F32, F64
+from gn0.missions.episode import Episode
 from gn0.missions.episode_files import read_table
-from gn0.paper import ACTIONS_AHEAD, MAP_BINS, POINTS
+from gn0.paper import ACTIONS_AHEAD, MAP_BINS, POINTS, TRACKING_POINTS
 from gn0.storage import content_hash
 
 SAMPLE_LAYOUT = 1  # of the table below; raise it when a column changes its name or meaning
+PEOPLE_LAYOUT = 2  # of the same with `COLUMNS_PEOPLE` behind it, where any row has people
+SAMPLE_LAYOUTS = (SAMPLE_LAYOUT, PEOPLE_LAYOUT)
 PICTURES = ("rgb", "history", "bev", "occupancy")  # hashed, in the order of their columns
 DEPTH = "depth"  # hashed as well where a dataset stores it, in a column behind all others
 NO_TOKEN = -1  # of a table without map tokens
@@ -59,14 +70,21 @@ COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
 COLUMNS_DEPTH = (*COLUMNS, (f"hash_{DEPTH}", _TEXT))  # of a dataset with depth pictures
 
 
-def _schema_of(columns: Sequence[tuple[str, pa.DataType]]) -> pa.Schema:
+def columns_of(depth: bool, people: bool) -> tuple[tuple[str, pa.DataType], ...]:
+    """The columns of a sample table with or without depth pictures and people."""
+    return (COLUMNS_DEPTH if depth else COLUMNS) + (COLUMNS_PEOPLE if people else ())
+
+
+def _schema_of(depth: bool, people: bool) -> pa.Schema:
+    layout = PEOPLE_LAYOUT if people else SAMPLE_LAYOUT
     return pa.schema(
-        [pa.field(name, kind, nullable=False) for name, kind in columns],
-        metadata={"gn0.samples": str(SAMPLE_LAYOUT), "gn0.frame": "world frame, m, rad"},
+        [pa.field(name, kind, nullable=False) for name, kind in columns_of(depth, people)],
+        metadata={"gn0.samples": str(layout), "gn0.frame": "world frame, m, rad"},
     )
 
 
-_SCHEMA, _SCHEMA_DEPTH = _schema_of(COLUMNS), _schema_of(COLUMNS_DEPTH)
+_SCHEMAS = {(d, p): _schema_of(d, p) for d in (False, True) for p in (False, True)}
+_SCHEMA = _SCHEMAS[False, False]
 _NO_HASHES: Mapping[str, tuple[str, ...]] = {}
 
 
@@ -90,6 +108,11 @@ class EpisodeRows:
         policy_actions: [T] what a policy said there; empty for the expert.
         hashes: of the raw pixels of each picture, by name ("rgb", …; "depth" where the dataset
             stores it); empty where not rendered.
+        people: what people did at each step; None where the episode has none.
+        person: number of the one who is followed, 1 to 16: the samples are TRACKING ones, whose
+            history is black and whose answers have 7 points; 0 in all other missions.
+        seen: float32 [T, P, 6] where somebody is followed and it is rendered: how much is seen of
+            each person (share, pixels, box), see `SeenPerson`; else None.
     """
 
     episode_id: str
@@ -104,6 +127,9 @@ class EpisodeRows:
     source: Source = "expert"
     policy_actions: tuple[tuple[int, ...], ...] = ()
     hashes: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NO_HASHES)
+    people: StepPeople | None = None
+    person: int = 0
+    seen: F32 | None = None
 
     def __len__(self) -> int:
         return len(self.executed)
@@ -113,21 +139,42 @@ class EpisodeRows:
         """Whether the hashes of its pictures are known."""
         return bool(self.hashes) or not len(self)
 
-    def with_hashes(self, hashes: Mapping[str, Sequence[str]]) -> EpisodeRows:
-        """The same rows with the hashes of their pictures."""
+    @property
+    def task(self) -> Literal["PLANNING", "TRACKING"]:
+        """What prompts call the samples (paper, App. prompts)."""
+        return "TRACKING" if self.person else "PLANNING"
+
+    @property
+    def points(self) -> int:
+        """Waypoints of an answer: 13, or 7 of TRACKING samples."""
+        return TRACKING_POINTS if self.person else POINTS
+
+    def seen_person(self, step: int, episode: Episode) -> SeenPerson | None:
+        """The followed person in the picture of a step; None where nobody is, or not rendered."""
+        if self.seen is None or not self.person:
+            return None
+        row = next(k for k, own in enumerate(episode.people) if own.number == self.person)
+        return SeenPerson.of_row(self.person, self.seen[step, row])
+
+    def with_hashes(
+        self, hashes: Mapping[str, Sequence[str]], seen: F32 | None = None
+    ) -> EpisodeRows:
+        """The same rows with the hashes of their pictures, and what is `seen` of people in them."""
         names = (*PICTURES, DEPTH) if DEPTH in hashes else PICTURES
-        return replace(self, hashes={name: tuple(hashes[name]) for name in names})
+        found = {name: tuple(hashes[name]) for name in names}
+        return replace(self, hashes=found, seen=seen if self.person else None)
 
 
 def encode_rows(blocks: Iterable[EpisodeRows]) -> pa.Table:
-    """The sample table of some episodes; see `COLUMNS`, and `COLUMNS_DEPTH` where rows have it.
+    """The sample table of some episodes; see `columns_of`.
 
     Raises:
         FormatError: an array of the wrong shape; names the episode.
     """
     blocks = list(blocks)
     depth = any(DEPTH in block.hashes for block in blocks)
-    tables = [_encode_block(block, _SCHEMA_DEPTH if depth else _SCHEMA) for block in blocks]
+    schema = _SCHEMAS[depth, any(block.people is not None for block in blocks)]
+    tables = [_encode_block(block, schema) for block in blocks]
     return pa.concat_tables(tables).combine_chunks() if tables else _SCHEMA.empty_table()
 
 
@@ -145,6 +192,11 @@ def _encode_block(block: EpisodeRows, schema: pa.Schema) -> pa.Table:
                 f"{name} has shape {list(found)}, expected {list(shape)}",
                 where=f"episode {block.episode_id!r}", remedy="one row per step",
             )  # fmt: skip
+    if block.people is not None and len(block.people) != n:
+        raise FormatError(
+            f"people at {len(block.people)} steps of {n}",
+            where=f"episode {block.episode_id!r}", remedy="one row per step",
+        )  # fmt: skip
     said = block.policy_actions or ((),) * n
     values: dict[str, Any] = {
         "episode_id": pa.array([block.episode_id] * n, _TEXT),
@@ -166,6 +218,8 @@ def _encode_block(block: EpisodeRows, schema: pa.Schema) -> pa.Table:
         values[name] = pa.FixedSizeListArray.from_arrays(items, type=kind)
     for name in (*PICTURES, DEPTH):
         values[f"hash_{name}"] = pa.array(list(block.hashes.get(name, ("",) * n)), _TEXT)
+    if "people" in schema.names:
+        values |= people_values(n, block.people, block.person, block.seen)
     columns = [
         value if isinstance(value, pa.Array) else pa.array(np.ascontiguousarray(value), kind)
         for value, kind in ((values[field.name], field.type) for field in schema)
@@ -177,7 +231,7 @@ def encode_table(table: pa.Table) -> bytes:
     """A sample table as the bytes of a Parquet file; the same table gives the same bytes."""
     stream = io.BytesIO()
     repeats = ["episode_id", "executed", "valid", "source", "hash_bev"]
-    schema = _SCHEMA_DEPTH if has_depth(table) else _SCHEMA
+    schema = _SCHEMAS[has_depth(table), has_people(table)]
     pq.write_table(
         table.cast(schema), stream, compression="zstd", use_dictionary=repeats,
         store_schema=True, write_statistics=False,
@@ -190,6 +244,11 @@ def has_depth(table: pa.Table) -> bool:
     return f"hash_{DEPTH}" in table.column_names
 
 
+def has_people(table: pa.Table) -> bool:
+    """Whether a sample table has people: whether it is of layout 2."""
+    return COLUMNS_PEOPLE[0][0] in table.column_names
+
+
 def load_sample_table(path: Path | str) -> pa.Table:
     """Read a sample table, strictly: its layout, columns, types, and every value.
 
@@ -199,8 +258,8 @@ def load_sample_table(path: Path | str) -> pa.Table:
             the column and the row.
     """
     table = read_table(Path(path))
-    check_layout(table, path)
-    columns = COLUMNS_DEPTH if has_depth(table) else COLUMNS
+    layout = check_layout(table, path)
+    columns = columns_of(has_depth(table), layout == PEOPLE_LAYOUT)
     for name, kind in columns:
         if name not in table.column_names:
             raise FormatError(
@@ -222,15 +281,15 @@ def load_sample_table(path: Path | str) -> pa.Table:
     return table
 
 
-def check_layout(table: pa.Table, path: Path | str) -> None:
-    """Refuse a table of another layout than this program writes.
+def check_layout(table: pa.Table, path: Path | str) -> int:
+    """The layout of a table; refuses those that this program does not know.
 
     Raises:
         FormatError: it is older, newer, or no sample table at all.
     """
     found = (table.schema.metadata or {}).get(b"gn0.samples", b"").decode("utf-8", "replace")
-    if found == str(SAMPLE_LAYOUT):
-        return
+    if found in map(str, SAMPLE_LAYOUTS):
+        return int(found)
     if not found.isdigit():
         raise FormatError(
             "not a sample table: it does not state its layout", file=path, field="gn0.samples",
@@ -238,7 +297,7 @@ def check_layout(table: pa.Table, path: Path | str) -> None:
         )  # fmt: skip
     older = int(found) < SAMPLE_LAYOUT
     raise FormatError(
-        f"sample layout {found}, this version reads {SAMPLE_LAYOUT}", file=path,
+        f"sample layout {found}, this version reads {SAMPLE_LAYOUT} and {PEOPLE_LAYOUT}", file=path,
         field="gn0.samples",
         remedy="build the dataset again from its episodes" if older else "use a newer gn0",
     )  # fmt: skip
@@ -298,6 +357,10 @@ def _check_values(table: pa.Table, path: Path | str) -> None:
         refuse("step", steps != expected, "is out of order: steps run 0, 1, 2, … in an episode")
         if len(set(ids[begins].tolist())) != int(begins.sum()):
             refuse("episode_id", _repeated(ids, begins), "belongs to an episode that was over")
+        if has_people(table):
+            fault = find_faults(table, np.flatnonzero(begins).tolist())
+            if fault is not None:
+                refuse(fault[0], np.arange(len(ids)) == fault[1], fault[2])
 
 
 def _repeated(ids: NDArray[Any], begins: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -317,8 +380,9 @@ def decode_rows(table: pa.Table) -> Iterator[EpisodeRows]:
     columns = {
         name: _column(table, name)
         for name in table.column_names
-        if name not in ("episode_id", "policy_actions")
+        if name not in ("episode_id", "policy_actions", *dict(COLUMNS_PEOPLE))
     }
+    peopled = has_people(table)
     said = table.column("policy_actions").to_pylist()
     hashed = (*PICTURES, DEPTH) if has_depth(table) else PICTURES
     poses = np.column_stack([columns["x"], columns["y"], columns["yaw"]])
@@ -327,6 +391,7 @@ def decode_rows(table: pa.Table) -> Iterator[EpisodeRows]:
         part = slice(begin, end)
         hashes = {name: tuple(columns[f"hash_{name}"][part].tolist()) for name in hashed}
         actions = tuple(tuple(codes) for codes in said[part])
+        people, person, seen = read_people(table, part) if peopled else (None, 0, None)
         yield EpisodeRows(
             episode_id=str(ids[begin]),
             poses=poses[part],
@@ -340,11 +405,14 @@ def decode_rows(table: pa.Table) -> Iterator[EpisodeRows]:
             source=columns["source"][begin],
             policy_actions=actions if any(actions) else (),
             hashes=hashes if any(hashes["rgb"]) else _NO_HASHES,
+            people=people,
+            person=person,
+            seen=seen,
         )
 
 
 def digest_labels(blocks: Iterable[EpisodeRows]) -> str:
-    """A digest of everything in the rows but the hashes of pictures."""
+    """A digest of everything in the rows but what pictures show: their hashes, who is seen."""
     parts: list[Any] = []
     for block in blocks:
         parts += [
@@ -357,4 +425,6 @@ def digest_labels(blocks: Iterable[EpisodeRows]) -> str:
                 )
             ),
         ]  # fmt: skip
+        if block.people is not None:
+            parts += [block.people.real, block.people.whole, block.person]
     return content_hash(*parts)

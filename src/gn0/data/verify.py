@@ -302,6 +302,8 @@ def _compare(found: Sequence[EpisodeRows], expected: Sequence[EpisodeRows]) -> I
             same = np.asarray(getattr(one, name) == getattr(other, name)).reshape(len(one), -1)
             for step in np.flatnonzero(~same.all(axis=1)).tolist():
                 yield f"row {row + step} (episode {one.episode_id!r}, step {step}), {name}"
+        if one.people is not None and not one.people.same_as(other.people):
+            yield f"rows {row} to {row + len(one) - 1} (episode {one.episode_id!r}), people"
         row += len(one)
 
 
@@ -373,7 +375,7 @@ def _compare_pixels(
 
 def compare_part(payload: dict[str, str], progress: Progress = no_progress) -> dict[str, list[str]]:
     """Samples of a part whose pictures have other hashes when drawn again; runs in a worker."""
-    from gn0.data.part_pictures import PartDrawer
+    from gn0.data.part_pictures import PartDrawer, sees_otherwise
 
     dataset = open_building(payload["folder"])
     part = next(own for own in dataset.about.parts if own.name == payload["part"])
@@ -393,6 +395,10 @@ def compare_part(payload: dict[str, str], progress: Progress = no_progress) -> d
                 rows.append(
                     f"{name} of row {step.row + 1} (episode {step.episode.id!r}, step {step.step})"
                 )
+        if sees_otherwise(step):
+            rows.append(
+                f"people_seen of row {step.row + 1} (episode {step.episode.id!r}, step {step.step})"
+            )
     return {"rows": rows}
 
 

@@ -321,10 +321,13 @@ class SampleReader:
         return _SceneMaps(eyes.map_frame, bev, bare, ground)
 
     def _draw_views(self, episode: Episode) -> _Views:
-        eyes, rows = eyes_of(self.dataset).of(episode), self.dataset.rows(episode.id)
+        every, rows = eyes_of(self.dataset), self.dataset.rows(episode.id)
+        eyes, crowd = every.of(episode), every.crowd(episode, rows)
         size = self._preset.history_tile
-        rgb = [seen.rgb for seen in draw_views(eyes, rows.poses) if seen.rgb is not None]
-        return _Views(rgb, [np.array(reduce_picture(one, *size)) for one in rgb])
+        seen = draw_views(eyes, rows.poses, crowd=crowd)
+        rgb = [one.rgb for one in seen if one.rgb is not None]
+        past = [] if rows.person else [np.array(reduce_picture(one, *size)) for one in rgb]
+        return _Views(rgb, past)  # TRACKING samples have a black history
 
 
 class SampleReaders:

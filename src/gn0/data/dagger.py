@@ -14,7 +14,7 @@ Where the policy hovers near the goal without saying STOP a halting rule ends th
         with STOP where they enter the zone.
     none: the expert's label alone.
 
-Where people are about, the expert waits for them and goes round who stands (`gn0.data.dagger_goal`);
+Where people are about the expert waits for them and goes round who stands (`gn0.data.dagger_goal`);
 who is to be followed is labelled against where the person goes next (`gn0.data.dagger_follow`), and
 none of the rules above ends such an episode. A policy alone can be driven among people, not many
 agents side by side.

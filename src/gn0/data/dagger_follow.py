@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -41,13 +42,14 @@ from gn0.people.crowd import CrowdState
 from gn0.people.reach import ARRIVED, MODE
 from gn0.seeds import random_stream
 from gn0.sim.collision import move_agent
-from gn0.sim.kinematics import step_forward
+from gn0.sim.kinematics import Heading, step_forward
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action
 
 FORETOLD = 12.0  # s of what people do next: as long as 3 m take behind somebody slow
 AT_REST = 0.01  # m: who goes no farther stands
 NEAR = 0.25  # m: a trail nearer than that is walked on, not walked to
+_SAME = 1e-6  # m and rad: kernels of people round otherwise where the agent is near
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,31 @@ class Foretold:
 
     places: F64
     track: TargetTrack
+
+
+@dataclass
+class _Plan:
+    """The follower's next steps, as far as they are thought.
+
+    Attributes:
+        poses: before each step, and after the last.
+        headings: likewise.
+        codes: the steps.
+        memories: what the follower remembers after each of them.
+        places: of people while they are done, a row a tick, as foretold.
+    """
+
+    poses: list[Pose2D]
+    headings: list[Heading]
+    codes: list[int] = field(default_factory=list)
+    memories: list[FollowOracle] = field(default_factory=list)
+    places: F64 = field(default_factory=lambda: np.zeros((0, 0, 2)))
+
+    def drop(self, ticks: int) -> None:
+        """Forget the first step, which takes so many ticks: it is being done."""
+        for steps in (self.poses, self.headings, self.codes, self.memories):
+            del steps[0]
+        self.places = self.places[ticks:]
 
 
 class FollowExpert:
@@ -84,7 +111,7 @@ class FollowExpert:
         self._times: list[float] = []
         self._places: list[F64] = []
         self._yaws: list[float] = []
-        self._before = Pose2D(0.0, 0.0, 0.0)
+        self._plan: _Plan | None = None
 
     def foretell(self) -> Foretold:
         """Where everybody goes from the state of now on; called once a state."""
@@ -109,52 +136,75 @@ class FollowExpert:
             PlanError: the agent is cut off from the person.
         """
         simulator, ahead = self._simulator, self.foretell()
-        task = dataclasses.replace(self._task, track=ahead.track)
-        self._before = simulator.pose
-        self._oracle.task = task
-        oracle, kept = self._oracle, self._oracle
-        pose, heading = simulator.pose, simulator.heading
-        line, codes = [pose[:2]], np.zeros(ACTIONS_AHEAD, np.int8)
-        for k in range(ACTIONS_AHEAD):
-            action = self._choose(oracle, ahead, pose, k)
-            if k == 0:
-                kept, oracle = oracle, copy.copy(oracle)  # what comes after is only thought
-                if action == Action.FORWARD and simulator.foresee_forward() is not None:
-                    action = Action.STOP
-            codes[k] = int(action)
-            if action == Action.FORWARD:
-                there = step_forward(pose.x, pose.y, pose.yaw, task.agent.forward_step)
-                move = move_agent(simulator.navigation, pose.x, pose.y, *there, task.agent)
-                pose = Pose2D(move.x, move.y, pose.yaw)
-                line.append((move.x, move.y))
-            elif action != Action.STOP:
-                heading = heading.turned(1 if action == Action.LEFT else -1)
-                pose = Pose2D(pose.x, pose.y, heading.yaw)
-        self._oracle = kept
-        way, valid = self._way(ahead.track, line)
-        return codes, way, valid
+        self._task = dataclasses.replace(self._task, track=ahead.track)
+        plan = self._plan
+        if plan is None or not self._goes_on(plan, ahead):
+            plan = _Plan([simulator.pose], [simulator.heading])
+        plan.places = ahead.places
+        while len(plan.codes) < ACTIONS_AHEAD:
+            self._think(plan, ahead)
+        self._plan = plan
+        line = [pose[:2] for pose in plan.poses]
+        kept = [True, *(there != here for here, there in itertools.pairwise(line))]
+        way, valid = self._way(ahead.track, list(itertools.compress(line, kept)))
+        return np.array(plan.codes, np.int8), way, valid
 
     def note(self, action: int) -> None:
-        """Note what the agent did in the state that was labelled last."""
-        self._oracle.note(self._before, Action(action))
+        """Note what the agent does in the state that was labelled last."""
+        plan = self._plan
+        assert plan is not None
+        self._oracle = plan.memories[0]
+        if action == plan.codes[0]:
+            plan.drop(self._task.agent.step_ticks)
+            return
+        self._oracle.note(plan.poses[0], Action(action))
+        self._plan = None
 
-    def _choose(self, oracle: FollowOracle, ahead: Foretold, pose: Pose2D, step: int) -> Action:
-        """What the follower does after so many steps from now."""
-        agent, ticks = self._task.agent, self._task.agent.step_ticks
-        begin = step * ticks
+    def _goes_on(self, plan: _Plan, ahead: Foretold) -> bool:
+        """Whether agent and people are where a plan has them and will be, so that it holds."""
+        simulator = self._simulator
+        if np.abs(np.subtract(simulator.pose, plan.poses[0])).max() > _SAME:
+            return False
+        if np.abs(ahead.places[: len(plan.places)] - plan.places).max() > _SAME:
+            return False
+        return plan.codes[0] != Action.FORWARD or simulator.foresee_forward() is None
+
+    def _think(self, plan: _Plan, ahead: Foretold) -> None:
+        """Add the follower's next step to a plan."""
+        simulator, task, step = self._simulator, self._task, len(plan.codes)
+        oracle = copy.copy(plan.memories[-1] if step else self._oracle)
+        oracle.task = task
+        pose, heading = plan.poses[-1], plan.headings[-1]
+        begin, time = step * task.agent.step_ticks, simulator.time + task.agent.time_after(step)
         others = np.delete(ahead.places[begin], self.row, 0).tolist()
-        time = self._simulator.time + agent.time_after(step)
         action = oracle.act(pose, time, [(x, y) for x, y in others])
-        if action == Action.FORWARD and step:
-            there = step_forward(pose.x, pose.y, pose.yaw, agent.forward_step)
-            share = np.arange(1, ticks + 1)[:, None, None] / ticks
-            here = np.array([[pose[:2]]])
-            mine = here + share * (np.array([[there]]) - here)
-            gaps = np.hypot(*np.moveaxis(ahead.places[begin + 1 : begin + 1 + ticks] - mine, 2, 0))
-            if gaps.min() < agent.radius + self._task.person_radius:
-                action = Action.STOP
-                oracle.note(pose, action)
-        return action
+        if action == Action.FORWARD and self._touches(pose, ahead.places[begin:], first=not step):
+            action = Action.STOP
+            oracle.note(pose, action)
+        if action == Action.FORWARD:
+            there = step_forward(pose.x, pose.y, pose.yaw, task.agent.forward_step)
+            move = move_agent(simulator.navigation, pose.x, pose.y, *there, task.agent)
+            pose = Pose2D(move.x, move.y, pose.yaw)
+        elif action != Action.STOP:
+            heading = heading.turned(1 if action == Action.LEFT else -1)
+            pose = Pose2D(pose.x, pose.y, heading.yaw)
+        plan.codes.append(int(action))
+        plan.memories.append(oracle)
+        plan.poses.append(pose)
+        plan.headings.append(heading)
+
+    def _touches(self, pose: Pose2D, places: F64, *, first: bool) -> bool:
+        """Whether a FORWARD at a pose meets somebody, who go through `places` [N, P, 2] then."""
+        if first:
+            return self._simulator.foresee_forward() is not None
+        agent = self._task.agent
+        share = np.arange(1, agent.step_ticks + 1)[:, None] / agent.step_ticks
+        here = np.array(pose[:2])
+        there = np.array(step_forward(pose.x, pose.y, pose.yaw, agent.forward_step))
+        mine = here + share * (there - here)
+        away = places[1 : 1 + agent.step_ticks] - mine[:, None]
+        nearest = float(np.hypot(away[..., 0], away[..., 1]).min())
+        return nearest < agent.radius + self._task.person_radius
 
     def _way(self, track: TargetTrack, line: list[tuple[float, float]]) -> tuple[F32, int]:
         """Where six steps lead, then the person's trail as far as it will be followed."""

@@ -165,9 +165,12 @@ class Company:
         Returns:
             Places [ticks+1, P, 2] m and unit vectors of headings [ticks+1, P, 2].
         """
+        if not self.people:
+            return np.zeros((ticks + 1, 0, 2)), np.zeros((ticks + 1, 0, 2))
         state, nobody = self._state.copy(), np.array([[0.0, 0.0, -1.0]])
         rows = [state.real[0].copy()]
-        for _ in range(ticks if self._walls is not None else 0):
+        for _ in range(ticks):
+            assert self._walls is not None
             step_crowd(state, self._routes, self._walls, nobody, radius=self.radius)
             rows.append(state.real[0].copy())
         found = np.array(rows)

@@ -24,7 +24,7 @@ from gn0.data.dataset import (
 from gn0.data.episode_frames import read_frames
 from gn0.data.expert_labels import label_states
 from gn0.data.picture_build import render_dataset
-from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
+from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import BenchError, DataError, EpisodeError, FormatError, StorageError
 from gn0.geometry import Pose2D, agent_to_world
@@ -44,7 +44,7 @@ def test_two_workers_write_the_bytes_of_one(
     assert files_of(tmp_path / "two") == files_of(webdataset.folder)
 
 
-def test_episodes_with_people_are_refused_not_drawn_without_them(
+def test_a_policy_is_not_driven_among_people_as_if_nobody_were_there(
     data_suite, settings_of, tmp_path
 ) -> None:
     first, *others = data_suite.episodes
@@ -52,8 +52,9 @@ def test_episodes_with_people_are_refused_not_drawn_without_them(
     somebody = EpisodePerson(number=1, identity="drawn:0:1", path=spot, behaviour="stand")
     crowded = (msgspec.structs.replace(first, people=(somebody,)), *others)
     suite = dataclasses.replace(data_suite, episodes=crowded)
-    with pytest.raises(EpisodeError, match=r"samples do not show people yet.*--people"):
-        build_dataset(suite, tmp_path / "d", settings_of())
+    settings = msgspec.structs.replace(settings_of(), dagger=DaggerSettings(policy="random"))
+    with pytest.raises(EpisodeError, match=r"dagger` do not show people yet.*--people"):
+        build_dataset(suite, tmp_path / "d", settings)
 
 
 def test_labels_first_and_pictures_later_is_the_same(labels_only, webdataset, copy_of, files_of):

@@ -20,6 +20,7 @@ EXAMPLES = """  gn0 data build out/suite --out out/data
   gn0 data build out/suite --layout none --out out/labels
   gn0 data build out/suite --backend cuda --quality 85 --out out/data
   gn0 data build out/suite --depth --out out/rgbd
+  gn0 data build out/suite --bank out/bank --out out/people
   gn0 data build out/suite --labels mpc --tokens ego --answer-order paper --out out/ego
   gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data
   gn0 data build out/suite --shard 2/8 --out out/shard-2    # then gn0 data merge"""
@@ -59,6 +60,8 @@ class Args(Config, frozen=True):
         ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
         gpus: GPUs that Ray sets aside for each worker, which then draws for itself: 1, or a part of
             one that several share, e.g. 0.25.
+        bank: folder of the bank of people whom episodes name; those named are copied into the
+            dataset. Drawn people (drawn:0:7) need none.
         shard: i/n builds the i-th of n shards, on a machine of its own; `gn0 data merge` joins
             them into the same dataset that is built without it. Empty builds all.
         fresh: forget what an earlier command left in the output folder, instead of going on.
@@ -83,6 +86,7 @@ class Args(Config, frozen=True):
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     gpus: Annotated[float, msgspec.Meta(ge=0, le=64)] = 0.0
+    bank: str = ""
     shard: str = ""
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
@@ -132,6 +136,7 @@ def run(args: Args) -> int:
             "ray_address": args.ray_address,
             "gpus": args.gpus,
             "batch": args.batch,
+            "bank": args.bank or None,
             "progress": progress,
             "note": say_aside,
         }

@@ -23,11 +23,13 @@ class Args(Config, frozen=True):
     Attributes:
         dataset: the dataset folder.
         suite: the suite that it was built from, for damaged episodes and scenes.
+        bank: the bank of people that it was built with, for damaged people.
         workers: processes that draw.
     """
 
     dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     suite: str = ""
+    bank: str = ""
     workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
 
 
@@ -38,7 +40,11 @@ def run(args: Args) -> int:
 
     with draw_progress() as progress:
         report = repair_dataset(
-            args.dataset, suite=args.suite or None, workers=args.workers, progress=progress
+            args.dataset,
+            suite=args.suite or None,
+            bank=args.bank or None,
+            workers=args.workers,
+            progress=progress,
         )
     left = {damage.path for damage in report.left}
     for damage in report.found:

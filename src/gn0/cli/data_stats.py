@@ -40,6 +40,7 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.data.dataset import open_dataset
     from gn0.data.dataset_stats import measure_dataset
+    from gn0.data.people_stats import describe_people
     from gn0.data.sample_sheet import draw_sheet
     from gn0.seeds import random_stream
     from gn0.storage import write_json, write_text
@@ -68,5 +69,7 @@ def run(args: Args) -> int:
     )
     shares = ", ".join(f"{name} {share:.1f} %" for name, share in stats.actions.items())
     print(f"actions: {shares}")
+    if stats.people is not msgspec.UNSET:
+        print(describe_people(stats.people))
     print(f"written to {out / 'stats.html'}: open it in a browser")
     return 0

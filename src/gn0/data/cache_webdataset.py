@@ -6,9 +6,11 @@
     <part>.index.parquet  name, offset, size and digest of each member
     README.md             the dataset card, with Hugging Face's head
 
-A shard stands alone: each sample has all of its pictures, its labels and its words. With maps kept
-"once", BEV and bare occupancy picture lie beside as maps/<hash>.png instead; the json names them
-and where the two dots are. Headers carry no time and no owner: the same samples, the same bytes.
+Where people are about, the json says who and where they are, and boxes of them where somebody is
+followed. A shard stands alone: each sample has all of its pictures, its labels and its words. With
+maps kept "once", BEV and bare occupancy picture lie beside as maps/<hash>.png instead; the json
+names them and where the two dots are. Headers carry no time and no owner: the same samples, the
+same bytes.
 
 Version 1 of the cache kept goal pictures beside, and places as (row, column); both are read.
 """
@@ -40,6 +42,7 @@ from gn0.data.picture_cache import (
 )
 from gn0.data.sample_table import DEPTH
 from gn0.data.settings import PictureSettings
+from gn0.data.step_people import SeenPerson
 from gn0.errors import FormatError
 from gn0.geometry import U8
 from gn0.missions.episode_files import read_table
@@ -151,7 +154,28 @@ def describe_sample(step: DrawnStep, maps: tuple[str, str]) -> bytes:
         },
         "hashes": step.hashes,
     }
+    if block.people is not None:
+        fields |= describe_people(step)
     return json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def describe_people(step: DrawnStep) -> dict[str, Any]:
+    """The people of a sample for its JSON, and which of them is followed; boxes in pixels."""
+    block, t, seen = step.block, step.step, step.pictures.people
+    assert block.people is not None
+    people = []
+    for k, person in enumerate(step.episode.people):
+        x, y, face_x, face_y, walked = block.people.real[t, k].tolist()
+        told = {
+            "number": person.number, "identity": person.identity, "place": [x, y],
+            "facing": [face_x, face_y], "walked": walked,
+            "walks": bool(block.people.whole[t, k, 0]), "ticks": int(block.people.whole[t, k, 1]),
+        }  # fmt: skip
+        if seen is not None:
+            view = SeenPerson.of_row(person.number, seen[k])
+            told |= {"share": view.share, "pixels": view.pixels, "box": view.box}
+        people.append(told)
+    return {"task": block.task, "person": block.person, "people": people}
 
 
 def encode_array(array: NDArray[Any]) -> bytes:

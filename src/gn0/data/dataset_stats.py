@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.config import Config, load_json
 from gn0.data.dataset import Dataset
+from gn0.data.people_stats import PeopleStats, PeopleTally, count_people
 from gn0.geometry import F64
 from gn0.maps.grid import FREE
 from gn0.missions.episode import Episode, MissionFollow, MissionGoal, MissionInstruction
@@ -113,6 +115,7 @@ class DatasetStats(Config, frozen=True):
         frequent: the most frequent words.
         candidates: how many candidate paths there were, fell at each filter and were accepted.
         skipped: episodes without samples, by reason.
+        people: who is in the samples; unset where nobody is.
     """
 
     name: str
@@ -136,6 +139,7 @@ class DatasetStats(Config, frozen=True):
     frequent: dict[str, int]
     candidates: dict[str, int]
     skipped: dict[str, int]
+    people: PeopleStats | msgspec.UnsetType = msgspec.UNSET
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +167,7 @@ class _Tally:
     turns: list[int] = field(default_factory=list)
     places: dict[str, list[F64]] = field(default_factory=dict)
     rows: Counter[str] = field(default_factory=Counter)
+    people: PeopleTally = field(default_factory=PeopleTally)
 
 
 def measure_dataset(
@@ -182,6 +187,7 @@ def measure_dataset(
             episode = episodes[block.episode_id]
             split = episode.split
             tally.samples[split] += len(block)
+            tally.people.add(block, episode)
             tally.rows[episode.scene_id] += len(block)
             tally.actions += np.bincount(block.actions[:, 0], minlength=4)[:4]
             tally.steps.append(len(block))
@@ -340,6 +346,7 @@ def _collect(dataset: Dataset, tally: _Tally, scenes: Sequence[SceneStats]) -> D
         frequent=dict(sorted(seen.items(), key=lambda item: (-item[1], item[0]))[:40]),
         candidates=_read_candidates(dataset.folder),
         skipped=_ordered(skipped),
+        people=count_people(dataset, tally.people) or msgspec.UNSET,
     )
 
 

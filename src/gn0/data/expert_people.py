@@ -187,6 +187,16 @@ def follow_person(simulator: Simulator, episode: Episode, labels: LabelSettings)
     return walk.rows(episode, found, away)
 
 
+def lead_in(track: TargetTrack, start: tuple[float, float, float]) -> TargetTrack:
+    """The track with a trail that begins where the agent does, behind the person.
+
+    Without it the place behind a person who has hardly walked would be its own first one.
+    """
+    yaws = None if track.yaws is None else np.r_[track.yaws[0], track.yaws]
+    times = np.r_[track.times[0] - 1.0, track.times]
+    return TargetTrack(times, np.vstack([start[:2], track.places]), yaws)
+
+
 def label_reference(
     navigation: NavigationMap,
     track: TargetTrack,
@@ -204,7 +214,7 @@ def label_reference(
     if labels.variant in ("mpc", "field"):
         times = episode.agent.step_seconds * np.arange(len(poses))
         return label_follow(
-            navigation, track, poses, times, labels, agent=episode.agent,
+            navigation, lead_in(track, episode.start), poses, times, labels, agent=episode.agent,
             distance=mission.distance or 1.5,
         )  # fmt: skip
     waypoints, valid = walked_way(poses, walk.end[:2])

@@ -14,7 +14,14 @@ from pathlib import Path
 import msgspec
 
 from gn0.data.build_folder import parts_journal, read_done, write_journal
-from gn0.data.dataset import JOURNAL, Dataset, file_digest, open_dataset
+from gn0.data.dataset import (
+    BANK_FOLDER,
+    JOURNAL,
+    Dataset,
+    FileRecord,
+    file_digest,
+    open_dataset,
+)
 from gn0.data.drawing_process import open_drawing
 from gn0.data.part import PartDone, PartPlan, collect_part, drawn_at
 from gn0.data.part_pictures import PartDrawer
@@ -58,6 +65,7 @@ def repair_dataset(
     path: Path | str,
     *,
     suite: Path | str | None = None,
+    bank: Path | str | None = None,
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> RepairReport:
@@ -66,6 +74,7 @@ def repair_dataset(
     Args:
         path: the dataset folder.
         suite: the suite that it was built from, for damaged episodes and scenes.
+        bank: the bank of people that it was built with, for damaged people.
         workers: processes that draw.
         progress: progress sink.
 
@@ -81,7 +90,7 @@ def repair_dataset(
         for damage in found:
             try:
                 if damage.kind == "source":
-                    _restore(dataset, damage, suite)
+                    _restore(dataset, damage, suite, bank)
                 elif damage.kind == "journal":
                     write_journal(dataset.folder / JOURNAL, parts_journal(dataset.about))
             except Gn0Error as error:
@@ -109,13 +118,25 @@ def repair_dataset(
     return RepairReport(found, left, reasons)
 
 
-def _restore(dataset: Dataset, damage: Damage, suite: Path | str | None) -> None:
-    """Copy a file of the episodes or scenes from the suite again, if it is the very same there.
+def _restore(
+    dataset: Dataset, damage: Damage, suite: Path | str | None, bank: Path | str | None
+) -> None:
+    """Copy a file of episodes, scenes or people again, if it is the very same where it is from.
 
     Raises:
-        DataError: no suite is given, or its file is another one.
+        DataError: no suite or bank is given, or its file is another one.
     """
     record = next(own for own in dataset.about.files if own.path == damage.path)
+    folder, _, name = damage.path.partition("/")
+    if folder == BANK_FOLDER:
+        if bank is None:
+            raise DataError(
+                "people cannot be made again from the dataset",
+                where=damage.path,
+                remedy="give the bank that it was built with: --bank",
+            )
+        _copy_same(safe_join(Path(bank), name), record, dataset.folder, "bank")
+        return
     if suite is None:
         raise DataError(
             "episodes and scenes cannot be made again from the dataset",
@@ -129,14 +150,18 @@ def _restore(dataset: Dataset, damage: Damage, suite: Path | str | None) -> None
         origin = source.scene_folder(parts[1]) / "/".join(parts[2:])
     else:
         origin = safe_join(source.folder, damage.path)
+    _copy_same(origin, record, dataset.folder, "suite")
+
+
+def _copy_same(origin: Path, record: FileRecord, folder: Path, what: str) -> None:
     data = read_bytes(origin)
     if file_digest(data) != record.digest:
         raise DataError(
-            "the suite has another file there",
+            f"the {what} has another file there",
             where=origin,
-            remedy="find the suite of this dataset",
+            remedy=f"find the {what} of this dataset",
         )
-    write_bytes(safe_join(dataset.folder, damage.path), data)
+    write_bytes(safe_join(folder, record.path), data)
 
 
 def _rewrite(dataset: Dataset, damage: Damage) -> None:

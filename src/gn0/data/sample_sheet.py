@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from gn0.data.dataset import Dataset
 from gn0.data.episode_frames import read_frames
 from gn0.data.sample_table import EpisodeRows
+from gn0.data.step_people import SeenPerson
 from gn0.errors import DataError
 from gn0.geometry import F32, F64, U8
 from gn0.sim.presets import find_preset
@@ -29,6 +30,11 @@ CAPTIONS = {
     "history": "history: the last 16 views",
     "bev": "BEV, the next 3 m",
     "occupancy": "occupancy, the next 3 m",
+}
+TRACKING = {
+    "history": "history: black in TRACKING samples",
+    "bev": "BEV, the next 1.5 m",
+    "occupancy": "occupancy, the next 1.5 m",
 }
 
 
@@ -54,11 +60,15 @@ def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.
     chosen = sorted({round(t) for t in np.linspace(0, len(rows) - 1, max(steps, 1))})
     frame = MapFrame.of_grid(dataset.navigation(episode.scene_id).grid)
     shown = [name for name in CAPTIONS if name != "depth" or dataset.about.stores_depth]
-    far = find_preset(dataset.about.camera).depth_range[1]
+    preset = find_preset(dataset.about.camera)
+    far, box_scale = preset.depth_range[1], preset.picture_size[0] / preset.rgb.width
     lines = []
     for t, pictures in enumerate(read_frames(dataset, rows.episode_id, shown)):
         if t in chosen:
-            lines.append(_draw_line(pictures, rows, t, frame, far))
+            seen = rows.seen_person(t, episode)
+            if seen is not None and seen.box is not None:
+                pictures["rgb"] = _draw_box(pictures["rgb"], seen, box_scale)
+            lines.append(_draw_line(pictures, rows, t, frame, far, seen))
     width = max(line.width for line in lines)
     sheet = Image.new("RGB", (width + 2 * GAP, HEAD + sum(line.height for line in lines)), PAPER)
     draw = ImageDraw.Draw(sheet)
@@ -75,7 +85,12 @@ def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.
 
 
 def _draw_line(
-    pictures: dict[str, NDArray[Any]], rows: EpisodeRows, t: int, frame: MapFrame, far: float
+    pictures: dict[str, NDArray[Any]],
+    rows: EpisodeRows,
+    t: int,
+    frame: MapFrame,
+    far: float,
+    seen: SeenPerson | None,
 ) -> Image.Image:
     tiles = []
     points = _world_points(rows, t)
@@ -95,20 +110,40 @@ def _draw_line(
         x += tile.width + GAP
     draw = ImageDraw.Draw(line)
     x = 0
-    captions = [text for name, text in CAPTIONS.items() if name in pictures]
+    known = CAPTIONS | TRACKING if rows.person else CAPTIONS
+    captions = [text for name, text in known.items() if name in pictures]
     for tile, caption in zip(tiles, captions, strict=True):
         draw.text((x, HEIGHT + 4), caption.format(far=far), SOFT, ImageFont.load_default(12))
         x += tile.width + GAP
     ahead = " ".join(WORDS[code] for code in rows.actions[t].tolist())
     text = (
-        f"step {t} · next six: {ahead} · {int(rows.valid[t])} of 13 points · "
-        f"{float(rows.distance[t]):.2f} m to go"
+        f"step {t} · next six: {ahead} · {min(int(rows.valid[t]), rows.points)} of {rows.points} "
+        f"points · {float(rows.distance[t]):.2f} m to {'the person' if rows.person else 'go'}"
     )
+    if seen is not None:
+        text += f" · person {seen.number}: {100 * seen.share:.0f} % seen"
     if rows.policy_actions:
         said = " ".join(WORDS[code] for code in rows.policy_actions[t])
         text += f" · policy said {said}"
     draw.text((0, HEIGHT + 20), text, INK, ImageFont.load_default(14))
     return line
+
+
+def _draw_box(rgb: U8, seen: SeenPerson, scale: float) -> U8:
+    """The view with the box of the person in it, `scale` pixels of it one of the camera's."""
+    assert seen.box is not None
+    image = Image.fromarray(np.array(rgb))
+    left, top, right, bottom = (scale * edge for edge in seen.box)
+    draw = ImageDraw.Draw(image)
+    for grown, colour in ((1, PAPER), (0, AGENT)):
+        box = (
+            left - grown,
+            top - grown,
+            max(right - 1, left) + grown,
+            max(bottom - 1, top) + grown,
+        )
+        draw.rectangle(box, outline=colour, width=2 - grown)
+    return np.asarray(image)
 
 
 def _paint_depth(depth: F32, far: float) -> Image.Image:
@@ -122,10 +157,10 @@ def _fit(image: Image.Image) -> Image.Image:
 
 
 def _world_points(rows: EpisodeRows, t: int) -> F64:
-    """The waypoints of a step [13, 2] m in the world."""
+    """The waypoints of a step [13, 2] m in the world; [7, 2] of a TRACKING sample."""
     x, y, yaw = map(float, rows.poses[t])
     c, s = np.cos(yaw), np.sin(yaw)
-    way = rows.waypoints[t].astype(np.float64)
+    way = rows.waypoints[t, : rows.points].astype(np.float64)
     return np.column_stack([x + c * way[:, 0] - s * way[:, 1], y + s * way[:, 0] + c * way[:, 1]])
 
 

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
+import msgspec
 import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
 from gn0.bench.report_maps import data_uri
 from gn0.data.dataset_stats import ACTION_NAMES, Coverage, DatasetStats, Spread
+from gn0.data.people_stats import PeopleStats
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAPS = 24  # coverage maps shown
@@ -103,7 +105,22 @@ def render_stats(
         static=_share(stats.missions, "goal", "instruction"),
         dynamic=_share(stats.missions, "follow"),
         action_names=ACTION_NAMES,
+        people=None if stats.people is msgspec.UNSET else stats.people,
+        people_tables=[] if stats.people is msgspec.UNSET else _people_tables(stats.people),
     )
+
+
+def _people_tables(people: PeopleStats) -> list[tuple[str, list[tuple[str, int, float]]]]:
+    """Titles and rows of what people are and do, those that say anything."""
+    found = {
+        "Samples by task": people.tasks,
+        "Follow missions by walk": people.categories,
+        "Follow missions by level": people.levels,
+        "Moments by clip": people.clips,
+        "Episodes by how many people": people.episodes,
+        "Walkers by speed [m/s]": people.speeds,
+    }
+    return [(title, rank(counts, keep_order=True)) for title, counts in found.items() if counts]
 
 
 def _share(counts: Mapping[str, int], *names: str) -> float:

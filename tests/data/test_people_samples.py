@@ -1,0 +1,392 @@
+"""Samples among people: rows that make their pictures again, and TRACKING samples of following."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from gn0.cli.main import main
+from gn0.data import part as part_module
+from gn0.data.build import build_dataset, build_shard
+from gn0.data.dataset import Dataset, open_dataset
+from gn0.data.dataset_stats import measure_dataset
+from gn0.data.episode_frames import read_frames
+from gn0.data.expert_labels import LabelSettings
+from gn0.data.merge import merge_shards
+from gn0.data.picture_build import render_dataset
+from gn0.data.repair import repair_dataset
+from gn0.data.sample_sheet import draw_sheet
+from gn0.data.sample_table import (
+    EpisodeRows,
+    decode_rows,
+    digest_labels,
+    encode_rows,
+    encode_table,
+    load_sample_table,
+)
+from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.data.step_people import StepPeople
+from gn0.data.verify import verify_dataset
+from gn0.errors import EpisodeError, FormatError
+from gn0.policies.bae.prompt_fields import render_prompt, sample_answer, sample_state
+from gn0.policies.bae.prompt_template import load_prompt
+from gn0.sim.open import open_simulator
+from gn0.sim.presets import find_preset
+from gn0.suites import scene_drawing
+from gn0.suites.suite import Suite
+from gn0_trials.people_samples import (
+    BODY,
+    CAMERA,
+    REFERENCE,
+    goal_episode,
+    save_bank,
+    save_peopled,
+    save_some,
+)
+
+
+def make_rows(episode_id: str = "a") -> EpisodeRows:
+    rng = np.random.default_rng(0)
+    return EpisodeRows(
+        episode_id=episode_id,
+        poses=rng.uniform(-3, 3, (4, 3)),
+        executed=rng.integers(0, 4, 4).astype(np.int8),
+        actions=rng.integers(0, 4, (4, 6)).astype(np.int8),
+        waypoints=rng.uniform(-3, 3, (4, 13, 2)).astype(np.float32),
+        pixels=rng.integers(0, 1000, (4, 13, 2)).astype(np.int16),
+        valid=rng.integers(1, 14, 4).astype(np.int8),
+        distance=rng.uniform(0, 20, 4).astype(np.float32),
+        collided=rng.integers(0, 2, 4).astype(bool),
+    )
+
+
+SMALL = {"chunk": 2}
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_bank(tmp_path_factory.mktemp("bank"))
+
+
+@pytest.fixture(scope="module")
+def suite(bank: Path, tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    return save_peopled(tmp_path_factory.mktemp("peopled") / "suite", bank)
+
+
+def settings_of(layout: str = "webdataset", **more: object) -> BuildSettings:
+    pictures = PictureSettings(layout=layout, format="png", **more)  # type: ignore[arg-type]
+    return BuildSettings(pictures=pictures, **SMALL)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def data(suite: Suite, bank: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    out = tmp_path_factory.mktemp("people") / "data"
+    return build_dataset(suite, out, settings_of(depth=True), bank=bank)
+
+
+def test_what_a_row_carries_makes_the_pictures_of_the_simulator_again(data: Dataset) -> None:
+    for name in data.sampled:
+        episode, rows = data.episode(name), data.rows(name)
+        sensors = {"rgb", "depth", "history"}
+        simulator = open_simulator(data.scene("flat"), CAMERA, "cpu", sensors, BODY, bank=data.bank)
+        seen = simulator.reset(episode)
+        frames = read_frames(data, name, sensors, exact=True)
+        kept = read_frames(data, name, ("rgb", "history"))
+        for step, (frame, picture) in enumerate(zip(frames, kept, strict=True)):
+            assert np.array_equal(frame["rgb"], seen.rgb)
+            assert np.array_equal(frame["depth"], seen.depth)
+            assert np.array_equal(picture["rgb"], frame["rgb"])
+            assert np.array_equal(picture["history"], frame["history"])
+            if rows.person:
+                assert not frame["history"].any()
+            else:
+                assert np.array_equal(frame["history"], seen.history)
+            if rows.people is not None:
+                assert np.array_equal(rows.people.places[step], simulator.company.places)
+            assert np.array_equal(rows.poses[step], simulator.pose)
+            result = simulator.step(int(rows.executed[step]))
+            seen = result.observation
+            assert result.collided == rows.collided[step]
+            assert result.info.get("hit_person") is None
+
+
+def test_people_change_the_pictures_that_show_them_and_nothing_else(data: Dataset) -> None:
+    alone, crossed = data.rows("a-alone"), data.rows("b-crossed")
+    assert alone.people is None and crossed.people is not None
+    same = [
+        step for step in range(min(len(alone), len(crossed)))
+        if np.array_equal(alone.poses[step], crossed.poses[step])
+    ]  # fmt: skip
+    assert len(same) >= 3
+    for step in same:
+        for name in ("bev", "occupancy"):
+            assert alone.hashes[name][step] == crossed.hashes[name][step]
+        x, y, yaw = crossed.poses[step]
+        away = crossed.people.places[step, 0] - (x, y)
+        ahead = abs(math.atan2(away[1], away[0]) - yaw) < math.radians(35)  # well in the picture
+        assert not ahead or alone.hashes["rgb"][step] != crossed.hashes["rgb"][step]
+    assert crossed.hashes["history"][0] == alone.hashes["history"][0]
+
+
+def test_tables_and_datasets_of_nobody_stay_as_they_were(suite: Suite, tmp_path: Path) -> None:
+    bare = save_some(tmp_path / "bare", goal_episode("a-alone"))
+    made = build_dataset(bare, tmp_path / "data", settings_of("none"))
+    told = json.loads((made.folder / "dataset.json").read_text())
+    assert told["samples"] == 1 and "bank" not in told
+    table = pq.read_table(made.folder / made.about.parts[0].path)
+    assert table.schema.metadata[b"gn0.samples"] == b"1"
+    assert [name for name in table.column_names if "people" in name or name == "person"] == []
+    assert table.column_names[-1] == "hash_occupancy"
+    mixed = pa.Table.from_batches(encode_rows([make_rows()]).to_batches())
+    assert encode_table(mixed) == encode_table(encode_rows([make_rows()]))
+
+
+def test_one_or_two_workers_shards_or_a_stop_in_between_give_the_same_bytes(
+    suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
+) -> None:
+    wanted = files_of(data.folder)
+    assert "bank/bank.json" in wanted and "bank/p0001.npz" in wanted
+    settings = data.about.settings
+    build_dataset(suite, tmp_path / "two", settings, bank=bank, workers=2)
+    assert files_of(tmp_path / "two") == wanted
+    write, count = part_module.write_part, 0
+
+    def fail_once(*args, **more):  # type: ignore[no-untyped-def]
+        nonlocal count
+        count += 1
+        if count == 2:
+            raise KeyboardInterrupt
+        return write(*args, **more)
+
+    monkeypatch.setattr(part_module, "write_part", fail_once)
+    with pytest.raises(KeyboardInterrupt):
+        build_dataset(suite, tmp_path / "stopped", settings, bank=bank)
+    build_dataset(suite, tmp_path / "stopped", settings, bank=bank)
+    assert files_of(tmp_path / "stopped") == wanted
+    for number in (1, 2):
+        build_shard(suite, tmp_path / f"s{number}", f"{number}/2", settings, bank=bank)
+    merge_shards([tmp_path / "s1", tmp_path / "s2"], tmp_path / "merged")
+    assert files_of(tmp_path / "merged") == wanted
+
+
+def test_labels_first_and_pictures_later_is_the_same(
+    suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path
+) -> None:
+    plain = BuildSettings(pictures=PictureSettings(layout="none"), **SMALL)  # type: ignore[arg-type]
+    made = build_dataset(suite, tmp_path / "data", plain, bank=bank)
+    assert made.rows("c-follow").seen is None
+    render_dataset(made.folder, data.about.settings.pictures)
+    ours, wanted = files_of(made.folder), files_of(data.folder)
+    assert {name for name in wanted if ours[name] != wanted[name]} == {"dataset.json"}
+
+
+def test_the_process_that_draws_for_all_gives_the_same_bytes(
+    suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu", "cuda"}))
+    build_dataset(suite, tmp_path / "data", data.about.settings, bank=bank)
+    assert files_of(tmp_path / "data") == files_of(data.folder)
+
+
+def test_tracking_samples_say_what_the_reference_does_and_where_it_walks(data: Dataset) -> None:
+    rows = data.rows("c-follow")
+    done = [int(digit) for digit in REFERENCE]
+    assert (rows.person, rows.task, rows.points) == (5, "TRACKING", 7)
+    assert rows.executed.tolist() == done
+    padded = done + [0] * 6
+    assert rows.actions.tolist() == [padded[k : k + 6] for k in range(len(done))]
+    person = rows.people.places[:, 1]
+    away = np.hypot(*(person - rows.poses[:, :2]).T)
+    assert rows.distance == pytest.approx(away, abs=1e-6)
+    # five forward actions of 0.25 m straight on, so five points of the way and the place itself
+    assert rows.valid[0] == 6
+    assert rows.waypoints[0, :6] == pytest.approx(
+        np.array([[0.25 * k, 0.0] for k in range(6)]), abs=1e-6
+    )
+    planning = data.rows("b-crossed")
+    assert (planning.person, planning.task, planning.points) == (0, "PLANNING", 13)
+    assert planning.seen is None
+
+
+def test_the_box_is_where_the_person_is(data: Dataset) -> None:
+    rows, episode = data.rows("c-follow"), data.episode("c-follow")
+    camera = find_preset(CAMERA).rgb
+    for step in range(len(rows)):
+        seen = rows.seen_person(step, episode)
+        assert seen.number == 5 and seen.share > 0.9
+        left, top, right, bottom = seen.box
+        assert 0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height
+        x, y, yaw = rows.poses[step]
+        dx, dy = rows.people.places[step, 1] - (x, y)
+        along = math.cos(yaw) * dx + math.sin(yaw) * dy
+        aside = -math.sin(yaw) * dx + math.cos(yaw) * dy
+        column = camera.width / 2 - camera.fx * aside / along
+        assert left <= column <= right  # the middle of the body
+        assert 0.25 < (right - left) * along / camera.fx < 1.1  # m: a body, arms included
+        assert 2 * seen.pixels > 0.5 * (right - left) * (bottom - top)
+
+
+def test_labels_of_other_kinds_lead_to_the_state_of_the_time(
+    suite: Suite, bank: Path, tmp_path: Path
+) -> None:
+    settings = BuildSettings(
+        pictures=PictureSettings(layout="none"), labels=LabelSettings(variant="mpc"), **SMALL
+    )
+    made = build_dataset(suite, tmp_path / "data", settings, bank=bank)
+    rows, exact = made.rows("c-follow"), made.rows("c-follow")
+    assert rows.executed.tolist() == exact.executed.tolist()
+    # the agent stands 1.3 m behind and should be at 1.2 m, within 0.25 m: it has nothing to do
+    assert rows.actions[0].tolist() == [0] * 6
+    # the way goes on along the trail, to the person
+    assert rows.waypoints[0, -1, 0] == pytest.approx(1.3, abs=0.06)
+
+
+def test_prompt_and_answer_of_a_tracking_sample_are_those_of_the_paper(data: Dataset) -> None:
+    for name, points in (("paper_following", 7), ("paper_following_views", 0)):
+        template = load_prompt(name)
+        prompt = render_prompt(template, sample_state(data, "c-follow", 2))
+        assert "TASK_TYPE: TRACKING" in prompt.text and "Follow the one ahead." in prompt.text
+        form = template.form("paper")
+        answer = sample_answer(data, "c-follow", 2, form)
+        assert answer.actions == (0, 1, 0, 1, 0, 2)
+        assert len(answer.tokens or ()) == points
+        assert form.read(form.write(answer)) == answer
+
+
+def test_a_wrong_bank_or_none_is_named(suite: Suite, bank: Path, tmp_path: Path) -> None:
+    with pytest.raises(EpisodeError, match="none was given") as caught:
+        build_dataset(suite, tmp_path / "data", settings_of("none"))
+    assert "b-crossed" in caught.value.where
+    other = tmp_path / "other"
+    shutil.copytree(bank, other)
+    listed = json.loads((other / "bank.json").read_text())
+    (other / "bank.json").write_text(json.dumps({**listed, "hash": "another"}))
+    with pytest.raises(EpisodeError, match="is of bank") as caught:
+        build_dataset(suite, tmp_path / "data", settings_of("none"), bank=other)
+    assert "c-follow" in caught.value.where and "bank" in caught.value.remedy
+    assert not (tmp_path / "data").exists()
+
+
+def test_what_is_damaged_is_found_and_made_again(
+    suite: Suite, bank: Path, data: Dataset, copy_of: Callable[[Dataset], Path], files_of
+) -> None:
+    folder = copy_of(data)
+    assert verify_dataset(folder, pixels=True, workers=1).ok
+    part = data.about.parts[1]
+    rows = list(decode_rows(load_sample_table(folder / part.path)))
+    moved = rows[0].people.real.copy()
+    moved[3, 1, 0] += 0.01
+    changed = replace(rows[0], people=StepPeople(moved, rows[0].people.whole))
+    (folder / part.path).write_bytes(encode_table(encode_rows([changed])))
+    (folder / "bank" / "p0001.npz").write_bytes(b"nobody")
+    found = verify_dataset(folder)
+    assert {damage.path for damage in found.damages} == {part.path, "bank/p0001.npz"}
+    report = repair_dataset(folder, suite=suite.folder)
+    assert "--bank" in report.reasons["bank/p0001.npz"]
+    found = repair_dataset(folder, suite=suite.folder, bank=bank)
+    assert found.ok and files_of(folder) == files_of(data.folder)
+    (folder / part.path).write_bytes(encode_table(encode_rows([changed])))
+    (damage,) = verify_dataset(folder).damages
+    assert any("people" in row and "c-follow" in row for row in damage.rows)
+
+
+def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
+    steps, count = 4, 2
+    rng = np.random.default_rng(0)
+    turn = rng.uniform(-3, 3, (steps, count))
+    real = np.dstack(
+        [rng.uniform(-3, 3, (steps, count, 2)), np.cos(turn), np.sin(turn), np.abs(turn)]
+    )
+    whole = rng.integers(0, 2, (steps, count, 2))
+    seen = rng.uniform(0, 9, (steps, count, 6)).astype(np.float32)
+    rows = replace(make_rows("b"), people=StepPeople(real, whole), person=2, seen=seen)
+    path = tmp_path / "t.parquet"
+    path.write_bytes(encode_table(encode_rows([make_rows("a"), rows])))
+    alone, read = decode_rows(load_sample_table(path))
+    assert alone.people is None and alone.person == 0 and alone.seen is None
+    assert read.people.same_as(rows.people) and read.person == 2
+    assert np.array_equal(read.seen, seen)
+    assert digest_labels([read]) == digest_labels([rows]) != digest_labels([make_rows("b")])
+    assert digest_labels([replace(read, seen=None)]) == digest_labels([rows])
+    table = pq.read_table(path)
+    facing = real.copy()
+    facing[1, 0, 2] = 2.0
+    ruined = {
+        "people": [
+            [[0.0] * 5] * 4 + real.reshape(steps, -1)[:, :5].tolist(),  # who was not there
+            [[]] * 4 + facing.reshape(steps, -1).tolist(),
+            [[]] * 4 + [[float("nan")] * 10] * 4,
+            [[]] * 4 + [[1.0] * 9] * 4,
+        ],
+        "people_doing": [[[]] * 4 + [[7, 0, 0, 0]] * 4, [[]] * 4 + [[0, 0, 0]] * 4],
+        "person": [[0] * 4 + [2, 2, 2, 1], [1] * 4 + [2] * 4, [0] * 4 + [17] * 4],
+        "people_seen": [[[]] * 4 + [[1.0] * 11] * 4],
+    }
+    for name, columns in ruined.items():
+        for values in columns:
+            place = table.column_names.index(name)
+            kind = table.schema.field(name)
+            bad = table.set_column(place, kind, pa.array(values, kind.type))
+            pq.write_table(bad, path)
+            with pytest.raises(FormatError) as caught:
+                load_sample_table(path)
+            assert caught.value.field in ruined
+    pq.write_table(table.drop_columns(["person"]), path)
+    with pytest.raises(FormatError, match="missing"):
+        load_sample_table(path)
+
+
+def test_videos_show_people_and_a_black_history(suite: Suite, bank: Path, tmp_path: Path) -> None:
+    made = build_dataset(suite, tmp_path / "data", settings_of("lerobot"), bank=bank)
+    assert verify_dataset(made.folder, pixels=True, workers=1).ok
+    exact = [frame["rgb"] for frame in read_frames(made, "c-follow", ("rgb",), exact=True)]
+    film = list(read_frames(made, "c-follow", ("rgb", "history")))
+    assert len(film) == len(exact) == 12
+    for frame, rgb in zip(film, exact, strict=True):
+        assert np.abs(frame["rgb"].astype(int) - rgb).mean() < 6
+        assert frame["history"].max() <= 2  # black as a video keeps it
+
+
+def test_statistics_sheet_and_shards_tell_who_is_there(
+    data: Dataset, tmp_path: Path, capsys
+) -> None:
+    people = measure_dataset(data)[0].people
+    assert (people.identities, people.followed) == (2, 1)
+    assert people.tasks["TRACKING"] == 12 and people.episodes == {"1": 1, "2": 1}
+    assert people.levels == {"distractors": 1} and people.categories == {"cruise": 1}
+    assert people.dynamic == pytest.approx(100 * 12 / data.about.rows)
+    assert sum(people.clips.values()) == 2 * 12 + len(data.rows("b-crossed"))
+    assert people.in_view == 100.0
+    assert people.keywords >= 10 and sum(people.records["top"].values()) == 2
+    assert main(["data", "stats", str(data.folder), "--sheets", "1", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "dynamic" in said and "cruise 1" in said
+    page = (tmp_path / "stats.html").read_text()
+    assert "TRACKING" in page and "Words of their records" in page
+    sheet = np.asarray(draw_sheet(data, "c-follow", 2))
+    assert (sheet == (213, 94, 0)).all(axis=-1).sum() > 100  # the box
+    shard = next((data.folder / "pictures" / "webdataset").glob("*0001.tar"))
+    text = shard.read_bytes().decode("latin-1")
+    assert '"task":"TRACKING"' in text and '"person":5' in text and '"box":[' in text
+
+
+def test_files_of_another_day_are_read_as_before(data: Dataset) -> None:
+    rows: list[EpisodeRows] = data.part_rows(data.about.parts[0])
+    assert [row.episode_id for row in rows] == ["a-alone", "b-crossed"]
+    assert open_dataset(data.folder).about.samples == 2
+    shutil.copytree(data.folder, data.folder.parent / "newer")
+    file = data.folder.parent / "newer" / "dataset.json"
+    told = json.loads(file.read_text())
+    file.write_bytes(msgspec.json.encode({**told, "samples": 3}))
+    with pytest.raises(FormatError, match="layout 3, this version reads 1 and 2"):
+        open_dataset(file.parent)

@@ -133,7 +133,7 @@ class DatasetEyes:
             moments = () if crowd is None else crowd.show(crowd.want(batch, begin))
             seen = eyes.look_many(batch, wanted, moments)
             for number in range(len(batch)):
-                yield Frame(**{name: drawn[number] for name, drawn in seen.items()})
+                yield Frame(*(seen[n][number] if n in seen else None for n in ("rgb", "depth")))
 
     def maps(self, trip: Trip) -> MapView:
         """See `Eyes.maps`."""

@@ -64,9 +64,12 @@ def build_dagger(
     executor: Literal["process", "ray"] = "process",
     ray_address: str = "",
     agents: int = 1,
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Dataset:
     """Collect a dataset with the policy of `settings.dagger`; see `build_dataset`.
+
+    Episodes with people, and those to follow somebody, are driven one at a time for any `agents`.
 
     Raises:
         ConfigError: no policy is given, there is none of that name, or an option is a secret.
@@ -81,6 +84,7 @@ def build_dagger(
         executor=executor,
         ray_address=ray_address,
         agents=agents,
+        bank=bank,
         progress=progress,
     )
 
@@ -175,12 +179,16 @@ def describe_summary(summary: DaggerSummary) -> str:
 
 
 def _describe_collected(summary: DaggerSummary, states: int) -> list[str]:
-    return [
+    lines = [
         f"{summary.states:,} states of {summary.episodes:,} episodes, each labelled with "
         f"{ACTIONS_AHEAD} actions and the next 3 m",
         f"the policy said what the expert would do in {summary.agreed / states:.1%} of them, "
         f"was cut short by an obstacle in {summary.collided / states:.1%}",
-        f"it said STOP too early in {summary.wrong_stops} states and missed it in "
-        f"{summary.missed_stops}; {summary.arrived} of "
-        f"{summary.episodes - summary.following_episodes} episodes ended at the goal",
     ]
+    to_goals = summary.episodes - summary.following_episodes
+    if to_goals or not summary.episodes:
+        lines.append(
+            f"it said STOP too early in {summary.wrong_stops} states and missed it in "
+            f"{summary.missed_stops}; {summary.arrived} of {to_goals} episodes ended at the goal"
+        )
+    return lines

@@ -8,7 +8,7 @@ over of them is counted. The question is the text that their agents ask; one fra
 as their readers sample it (`video_fps` 1).
 
 Where somebody is followed, "stop" stands still for one action and ends nothing, as Uni-NaVid's
-"stop" is no speed at all in EVT-Bench (wsakobe/TrackVLA @c69f9d9, `agent_uninavid.py` 352 to 366);
+"stop" is a speed of 0 in EVT-Bench (wsakobe/TrackVLA @c69f9d9, `agent_uninavid.py` 352 to 366);
 what their VLN-CE agents do at it is to end. A frame is an action there as well, whatever it lasts.
 """
 

@@ -19,16 +19,15 @@ from typing import Annotated, Literal
 import msgspec
 
 from gn0.device.device import Device
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT
-from gn0.missions.episode import MissionFollow
-from gn0.missions.people import refuse_people
 from gn0.policies.bae.draws import MOST, check_draw_after
 from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.dagger import begin_examined, compare_entropy
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import Learner, open_learner
+from gn0.training.lessons_live import check_lessons
 from gn0.training.policy_driver import PolicyDriver, open_driver
 from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on, load_pupil
 from gn0.training.stage import Stage
@@ -158,22 +157,6 @@ def train_dagger_live(
         return run.finish(stage, compare_entropy(run, found))
 
 
-def check_lessons(lessons: Lessons) -> None:
-    """Refuse episodes whose labels a device does not know: it plans as if nobody were there.
-
-    Raises:
-        EpisodeError: names the first that follows somebody, or has people.
-    """
-    for episode in lessons.episodes:
-        if isinstance(episode.mission, MissionFollow):
-            raise EpisodeError(
-                "follows somebody, and live DAgger labels ways to a goal alone",
-                where=f"episode {episode.id!r}",
-                remedy="collect such states with `gn0 data dagger`, and learn from these",
-            )
-    refuse_people(lessons.episodes, "the labels of live DAgger")
-
-
 def _check_mixture(job: DaggerLiveJob) -> None:
     """Refuse shares of inputs that the policy does not have; none: it learns its default alone."""
     own = job.settings or load_policy_settings(job.start)
@@ -227,7 +210,7 @@ def _open_walks(
     again = open_drivers(count_confirmed(job.agents)) if job.confirm_stop else None
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
-        check_lessons(lessons)
+        check_lessons(lessons.episodes)
         world = open_world(
             lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say
         )

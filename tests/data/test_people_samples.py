@@ -17,6 +17,7 @@ import pytest
 
 from gn0.cli.main import main
 from gn0.data import part as part_module
+from gn0.data.balance import BalanceSettings, balance_dataset, load_selection
 from gn0.data.build import build_dataset, build_shard
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.dataset_stats import measure_dataset
@@ -37,7 +38,7 @@ from gn0.data.sample_table import (
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.step_people import StepPeople
 from gn0.data.verify import verify_dataset
-from gn0.errors import EpisodeError, FormatError
+from gn0.errors import ConfigError, DataError, EpisodeError, FormatError
 from gn0.policies.bae.prompt_fields import render_prompt, sample_answer, sample_state
 from gn0.policies.bae.prompt_template import load_prompt
 from gn0.sim.open import open_simulator
@@ -390,3 +391,27 @@ def test_files_of_another_day_are_read_as_before(data: Dataset) -> None:
     file.write_bytes(msgspec.json.encode({**told, "samples": 3}))
     with pytest.raises(FormatError, match="layout 3, this version reads 1 and 2"):
         open_dataset(file.parent)
+
+
+def test_tasks_are_mixed_as_asked_each_with_the_papers_actions(
+    data: Dataset, copy_of: Callable[[Dataset], Path]
+) -> None:
+    folder = copy_of(data)
+    shares = {"forward": 90.0, "left": 0.0, "right": 0.0, "stop": 10.0}
+    about = balance_dataset(open_dataset(folder), BalanceSettings(tracking=25.0, **shares))
+    assert about.tasks["TRACKING"].percent == pytest.approx(25.0, abs=1e-3)
+    assert {name: share.percent for name, share in about.after.items()} == pytest.approx(
+        {"FORWARD": 90.0, "LEFT": 0.0, "RIGHT": 0.0, "STOP": 10.0}, abs=1e-3
+    )
+    table = load_selection(folder)
+    ids, weights = np.array(table["episode_id"].to_pylist()), table["weight"].to_numpy()
+    assert weights.sum() == pytest.approx(data.about.rows, rel=1e-5)
+    assert weights[ids == "c-follow"].sum() / weights.sum() == pytest.approx(0.25, abs=1e-5)
+    plain = balance_dataset(open_dataset(folder), BalanceSettings(**shares))
+    assert "tasks" not in msgspec.to_builtins(plain)
+    with pytest.raises(
+        DataError, match=r"should say LEFT, and none does"
+    ):  # planning goes straight
+        balance_dataset(open_dataset(folder), BalanceSettings(tracking=25.0))
+    with pytest.raises(ConfigError, match="selection"):
+        BalanceSettings(method="selection", tracking=25.0)

@@ -15,7 +15,8 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 data balance out/data
   gn0 data balance out/data --method selection --tolerance 0.3
-  gn0 data balance out/data --forward 55 --left 20 --right 20 --stop 5"""
+  gn0 data balance out/data --forward 55 --left 20 --right 20 --stop 5
+  gn0 data balance out/data --tracking 30"""
 
 
 class Args(Config, frozen=True):
@@ -31,6 +32,8 @@ class Args(Config, frozen=True):
         stop: wanted share of STOP [percent].
         tolerance: how far off a share may be [percentage points]; a selection keeps more with it.
         seed: seed of the choice of samples that are left out.
+        tracking: wanted share of TRACKING samples [percent], by weights; by default as many as
+            there are.
     """
 
     dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
@@ -41,6 +44,7 @@ class Args(Config, frozen=True):
     stop: Annotated[float, msgspec.Meta(ge=0, le=100)] = 3.0
     tolerance: Annotated[float, msgspec.Meta(ge=0, le=50)] = 0.5
     seed: int = 0
+    tracking: Annotated[float, msgspec.Meta(ge=0, le=100)] | None = None
 
 
 def run(args: Args) -> int:
@@ -52,6 +56,7 @@ def run(args: Args) -> int:
     settings = BalanceSettings(
         method=args.method, forward=args.forward, left=args.left, right=args.right,
         stop=args.stop, tolerance=args.tolerance, seed=args.seed,
+        tracking=msgspec.UNSET if args.tracking is None else args.tracking,
     )  # fmt: skip
     with draw_progress() as progress:
         about = balance_dataset(open_dataset(args.dataset), settings, progress=progress)

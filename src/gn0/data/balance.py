@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 
 from gn0.config import Config, load_json
 from gn0.data.dataset import Dataset, open_dataset
-from gn0.errors import DataError, FormatError
+from gn0.data.sample_table import has_people
+from gn0.errors import ConfigError, DataError, FormatError
 from gn0.geometry import F32, F64
 from gn0.missions.episode_files import read_table
 from gn0.paper import ACTION_SHARES, ACTIONS_AHEAD
@@ -43,6 +44,7 @@ Method = Literal["weights", "selection"]
 BALANCE_FILE, SELECTION_FILE = "balance.json", "selection.parquet"
 BALANCE_LAYOUT = 1
 NAMES = tuple(action.name for action in Action)  # STOP, FORWARD, LEFT, RIGHT: by code
+TASKS = ("PLANNING", "TRACKING")
 PAPER = {NAMES[action]: share for action, share in ACTION_SHARES.items()}  # percent
 REPEATS = 10.0  # a weight above this repeats its samples so often that it is said
 _SCHEMA = pa.schema(
@@ -65,6 +67,8 @@ class BalanceSettings(Config, frozen=True):
         forward, left, right, stop: shares of the labels' first actions [percent].
         tolerance: how far off a share may be [percentage points]; a selection uses it to keep more.
         seed: seed of the choice of samples that are left out.
+        tracking: share of TRACKING samples among all [percent], reached by weights; unset: as many
+            as there are.
     """
 
     method: Method = "weights"
@@ -74,6 +78,15 @@ class BalanceSettings(Config, frozen=True):
     stop: Annotated[float, msgspec.Meta(ge=0, le=100)] = PAPER["STOP"]
     tolerance: Annotated[float, msgspec.Meta(ge=0, le=50)] = 0.5
     seed: int = 0
+    tracking: Annotated[float, msgspec.Meta(ge=0, le=100)] | msgspec.UnsetType = msgspec.UNSET
+
+    def __post_init__(self) -> None:
+        if self.tracking is not msgspec.UNSET and self.method != "weights":
+            raise ConfigError(
+                "a selection has the tasks that the samples have",
+                where="tracking",
+                remedy="balance tasks by weights, or leave the share of TRACKING samples out",
+            )
 
     @property
     def target(self) -> F64:
@@ -114,6 +127,7 @@ class BalanceFile(Config, frozen=True):
         notes: what a reader should know, in words.
         labels: digest of the labels that were balanced, part by part.
         selection: digest of `selection.parquet`'s columns.
+        tasks: by task, as samples are drawn; unset where their share was not asked for.
     """
 
     layout: int
@@ -127,6 +141,7 @@ class BalanceFile(Config, frozen=True):
     notes: tuple[str, ...]
     labels: str
     selection: str
+    tasks: dict[str, ActionShare] | msgspec.UnsetType = msgspec.UNSET
 
 
 def balance_dataset(
@@ -146,10 +161,19 @@ def balance_dataset(
     """
     asked = settings or BalanceSettings()
     target = asked.target
-    classes, columns = _read_samples(dataset, progress)
+    classes, tracking, columns = _read_samples(dataset, progress)
+    tasks: dict[str, ActionShare] | msgspec.UnsetType = msgspec.UNSET
     counts = np.bincount(classes, minlength=len(NAMES))
     notes: list[str] = []
-    if asked.method == "weights":
+    if asked.tracking is not msgspec.UNSET:
+        chosen = np.arange(len(classes))
+        weights = plan_tasks(classes, tracking, target, asked.tracking / 100.0)
+        after = np.bincount(classes, weights=weights.astype(np.float64), minlength=len(NAMES))
+        per_class = np.divide(after, counts, out=np.zeros(len(NAMES)), where=counts > 0)
+        notes += _note_repeats(counts, per_class)
+        drawn = [float(weights[tracking == task].sum()) for task in (False, True)]
+        tasks = _shares(np.array(drawn), TASKS)
+    elif asked.method == "weights":
         per_class = plan_weights(counts, target)
         chosen, weights = np.arange(len(classes)), per_class[classes].astype(np.float32)
         after = np.bincount(classes, weights=weights.astype(np.float64), minlength=len(NAMES))
@@ -173,6 +197,7 @@ def balance_dataset(
         notes=tuple(notes),
         labels=_label_digest(dataset),
         selection=_digest(table),
+        tasks=tasks,
     )
     write_atomic(
         dataset.folder / SELECTION_FILE,
@@ -195,6 +220,34 @@ def plan_weights(counts: NDArray[np.integer], target: F64) -> F64:
     _check_classes(counts, target, 0.0)
     total = int(counts.sum())
     return np.divide(target * total, counts, out=np.zeros(len(counts)), where=counts > 0)
+
+
+def plan_tasks(
+    classes: NDArray[np.integer], tracking: NDArray[np.bool_], target: F64, share: float
+) -> F32:
+    """Weights [N], 1 on average, that give each task its share and its actions theirs.
+
+    Args:
+        classes: action [N] of each sample.
+        tracking: whether it is a TRACKING one [N].
+        target: wanted shares of the actions [4].
+        share: wanted share of TRACKING samples.
+
+    Raises:
+        DataError: samples of a task, or of an action of it, are wanted and there are none.
+    """
+    weights = np.zeros(len(classes))
+    for name, mine, part in zip(TASKS, (~tracking, tracking), (1.0 - share, share), strict=True):
+        if not part:
+            continue
+        if not mine.any():
+            raise DataError(
+                f"{part:.1%} of the samples should be {name} ones, and none is",
+                remedy="give another --tracking, or build a dataset of both kinds of missions",
+            )
+        per_class = plan_weights(np.bincount(classes[mine], minlength=len(NAMES)), target)
+        weights[mine] = per_class[classes[mine]] * (part * len(classes) / int(mine.sum()))
+    return weights.astype(np.float32)
 
 
 def plan_selection(counts: NDArray[np.integer], target: F64, tolerance: float) -> NDArray[np.int64]:
@@ -269,8 +322,9 @@ def _choose(classes: NDArray[np.int8], kept: NDArray[np.int64], seed: int) -> ND
 
 def _read_samples(
     dataset: Dataset, progress: Progress
-) -> tuple[NDArray[np.int8], dict[str, pa.Array]]:
-    """The class of each sample, and what names it, over all parts in order."""
+) -> tuple[NDArray[np.int8], NDArray[np.bool_], dict[str, pa.Array]]:
+    """The class of each sample, whether it is a TRACKING one, and what names it, part by part."""
+    tracking: list[NDArray[np.bool_]] = []
     classes, parts, sizes, rows, ids, steps = [], [], [], [], [], []
     count = len(dataset.about.parts)
     for number, (part, table) in enumerate(
@@ -280,6 +334,10 @@ def _read_samples(
         actions = table.column("actions").combine_chunks()
         flat = actions.flatten().to_numpy(zero_copy_only=False)
         classes.append(np.asarray(flat, np.int8).reshape(table.num_rows, ACTIONS_AHEAD)[:, 0])
+        if has_people(table):
+            tracking.append(np.asarray(table.column("person").to_numpy()) > 0)
+        else:
+            tracking.append(np.zeros(table.num_rows, np.bool_))
         parts += [part.name] * bool(table.num_rows)
         sizes += [table.num_rows] * bool(table.num_rows)
         rows.append(np.arange(table.num_rows, dtype=np.int32))
@@ -287,15 +345,20 @@ def _read_samples(
         steps.append(table.column("step").combine_chunks())
     progress("reading samples", count, count)
     if not classes:
-        return np.empty(0, np.int8), {}
-    return np.concatenate(classes), {
-        "part": pa.DictionaryArray.from_arrays(
-            np.repeat(np.arange(len(parts), dtype=np.int32), sizes), pa.array(parts, pa.string())
-        ),
-        "row": pa.array(np.concatenate(rows)),
-        "episode_id": pa.chunked_array(ids).unify_dictionaries().combine_chunks(),
-        "step": pa.chunked_array(steps).combine_chunks(),
-    }
+        return np.empty(0, np.int8), np.empty(0, np.bool_), {}
+    return (
+        np.concatenate(classes),
+        np.concatenate(tracking),
+        {
+            "part": pa.DictionaryArray.from_arrays(
+                np.repeat(np.arange(len(parts), dtype=np.int32), sizes),
+                pa.array(parts, pa.string()),
+            ),
+            "row": pa.array(np.concatenate(rows)),
+            "episode_id": pa.chunked_array(ids).unify_dictionaries().combine_chunks(),
+            "step": pa.chunked_array(steps).combine_chunks(),
+        },
+    )
 
 
 def _table(columns: Mapping[str, pa.Array], chosen: NDArray[np.int64], weights: F32) -> pa.Table:
@@ -321,11 +384,11 @@ def _effective(weights: F32) -> float:
     return round(float(w.sum() ** 2 / (w * w).sum()), 1)
 
 
-def _shares(counts: NDArray[np.floating]) -> dict[str, ActionShare]:
+def _shares(counts: NDArray[np.floating], names: Sequence[str] = NAMES) -> dict[str, ActionShare]:
     total = float(counts.sum())
     return {
         name: ActionShare(count=round(float(n), 3), percent=round(100 * float(n) / total, 4))
-        for name, n in zip(NAMES, counts, strict=True)
+        for name, n in zip(names, counts, strict=True)
     }
 
 
@@ -412,6 +475,9 @@ def describe_balance(about: BalanceFile) -> str:
     lines.append(f"{about.kept:,} of {about.samples:,} samples are used")
     if about.settings.method == "weights":
         lines[-1] += f"; drawn so they are worth {about.effective:,.0f} independent ones"
+    if about.tasks is not msgspec.UNSET:
+        told = (f"{name} {own.percent:.1f} %" for name, own in about.tasks.items())
+        lines.append(f"tasks: {', '.join(told)}; the actions of each as above")
     return "\n".join([*lines, *about.notes])
 
 

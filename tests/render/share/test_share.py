@@ -657,9 +657,14 @@ def test_moving_parts_are_sent_once_and_drawn_as_they_are_here(serve, monkeypatc
     alone.keep("scene", random_cloud(1))
     taken: list[str] = []
     take = serving.server._take_part
-    monkeypatch.setattr(
-        serving.server, "_take_part", lambda sent, fd: (taken.append(sent.name), take(sent, fd))
-    )
+    holders = {}
+
+    def note(connection, sent, fd):  # type: ignore[no-untyped-def]
+        taken.append(sent.name)
+        holders[connection.number] = connection
+        take(connection, sent, fd)
+
+    monkeypatch.setattr(serving.server, "_take_part", note)
     first, second = serving.renderer(1), serving.renderer(1)
     for drawn in (first, second):
         for renderer in (drawn, alone):
@@ -674,6 +679,8 @@ def test_moving_parts_are_sent_once_and_drawn_as_they_are_here(serve, monkeypatc
     first.name_cloud("ball", other)  # another cloud under its name: never the old one
     again = first.render(CAMERA, views(3), parts=[part(0.5)])
     expect_same(again, alone.render(CAMERA, views(3), "scene", parts=[part(0.5, cloud="other")]))
+    # what is sent under a name again takes the place of what was there: names bound what is held
+    assert {tuple(sorted(one.parts)) for one in holders.values()} == {("ball", "other")}
     with pytest.raises(RenderError, match="no cloud is named 'box'"):
         first.render(CAMERA, views(1), parts=[part(0.0, cloud="box")])
     with pytest.raises(RenderError, match="pose is not finite"):

@@ -95,7 +95,7 @@ class DrawConnection:
         self._area: NDArray[np.uint8] | None = None
         self._number = self._areas = 0
         self._floor = self._shown = ""  # that was sent last
-        self._clouds: set[str] = set()  # that were sent
+        self._clouds: dict[str, str] = {}  # digest of what was sent last, by name
 
     @cached_property
     def drawn_by(self) -> DrawnBy:
@@ -132,7 +132,7 @@ class DrawConnection:
 
         `floor`: draw from the visible sets of this one. `millimetres`: depth as uint16, see
         `gn0.render.depth`. `shown`: the map that the dots of `encode` are on. `parts`: instances of
-        clouds that were sent, by digest.
+        clouds that were sent, by name.
 
         Raises:
             DeviceError: the device or the drawing process is lost.
@@ -195,18 +195,20 @@ class DrawConnection:
         }  # fmt: skip
         return DrawnViews(pictures, files, mosaics, maps, named)
 
-    def send_cloud(self, cloud: GaussianCloud, digest: str) -> None:
-        """Bring a moving part's splats over, once a connection.
+    def send_cloud(self, cloud: GaussianCloud, digest: str, name: str) -> None:
+        """Bring a moving part's splats over, unless they are those sent last under that name.
+
+        What the other process holds is bounded by the names, as those of `PosedBank` are.
 
         Raises:
             DeviceError: the drawing process is gone.
         """
-        if digest in self._clouds:
+        if self._clouds.get(name) == digest:
             return
         coefficients, normals = cloud.sh.shape[1], cloud.normal is not None
         labels = cloud.label is not None
         table = None if cloud.categories is None else cloud.categories.tobytes()
-        message = Cloud(digest, len(cloud), coefficients, normals, labels, table)
+        message = Cloud(name, len(cloud), coefficients, normals, labels, table)
         descriptor = _open_memory()
         try:
             os.ftruncate(descriptor, max(message.size, 1))
@@ -216,7 +218,7 @@ class DrawConnection:
             raise _lost() from None
         finally:
             os.close(descriptor)
-        self._clouds.add(digest)
+        self._clouds[name] = digest
 
     def _ask(self, message: msgspec.Struct) -> Drawn | DrawnBy:
         """The answer to a message.
@@ -452,8 +454,8 @@ class RendererShared:
         if any(moving):
             used = {one.cloud for instances in moving for one in instances}
             for name in sorted(used):
-                self._connection.send_cloud(*self._parts[name])
-            rows = PartRows.of_parts(moving, {name: self._parts[name][1] for name in used})
+                self._connection.send_cloud(*self._parts[name], name)
+            rows = PartRows.of_parts(moving, {name: name for name in used})
         return self._connection.draw(
             key, self._sources[key], camera, matrices, outputs, background, encode,
             self._floors.get(key) if visible else None, millimetres=millimetres, shown=shown,

@@ -18,7 +18,7 @@ class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
     """Splats of moving parts, in shared memory whose file descriptor comes along.
 
     Attributes:
-        name: equal names mean equal splats.
+        name: of that connection; what is sent last under it counts.
         count: N.
         coefficients: K, of spherical harmonics.
         normals: whether there are any.
@@ -113,8 +113,8 @@ class PartRows(msgspec.Struct, frozen=True):
             np.cumsum([len(instances) for instances in parts], dtype=np.int32).tobytes(),
         )
 
-    def read(self, count: int) -> list[tuple[Instance, ...]]:
-        """The instances of each of `count` views.
+    def read(self, count: int, prefix: str = "") -> list[tuple[Instance, ...]]:
+        """The instances of each of `count` views, with `prefix` before the names of their clouds.
 
         Raises:
             FormatError: they are none.
@@ -136,7 +136,7 @@ class PartRows(msgspec.Struct, frozen=True):
         poses = np.frombuffer(self.poses, np.float64).reshape(-1, 4, 4)
         gains = np.frombuffer(self.gains, np.float32).reshape(-1, 4, 3)
         rows = [
-            Instance(self.clouds[cloud], pose, None if np.isnan(gain).any() else gain)
+            Instance(f"{prefix}{self.clouds[cloud]}", pose, None if np.isnan(gain).any() else gain)
             for cloud, pose, gain in zip(cloud_of.tolist(), poses, gains, strict=True)
         ]
         starts = [0, *ends.tolist()]

@@ -15,18 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import DeviceError, Gn0Error
+from gn0.gaussians.cloud import GaussianCloud
 from gn0.render.encoding import MapPicture
 from gn0.render.share.messages import Area, Draw, Failed, Floor, find_places, send_message
 
 
 @dataclass(eq=False)
 class Connection:
-    """One that asks: its socket, and the area it has given; `closed` once it is gone."""
+    """One that asks: its socket, the area and the moving parts it has given.
+
+    `number` is its own, `closed` whether it is gone.
+    """
 
     socket: socket.socket
     areas: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     sending: threading.Lock = field(default_factory=threading.Lock)
     closed: bool = False
+    parts: dict[str, GaussianCloud] = field(default_factory=dict)
+    number: int = 0
+
+    @property
+    def prefix(self) -> str:
+        """How names of its parts begin where they are drawn."""
+        return f"{self.number}/"
 
     def send(self, message: msgspec.Struct) -> None:
         """Tell it something; one that is gone is not missed."""

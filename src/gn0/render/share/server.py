@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import logging
 import mmap
 import os
@@ -86,7 +87,7 @@ class Server:
         self._limited: dict[str, str] = {}  # floor whose visible sets a scene has
         self._loading: dict[str, Future[Any]] = {}
         self._lock = threading.Lock()
-        self._parts: dict[str, GaussianCloud] = {}  # of moving parts, by digest
+        self._numbers = itertools.count(1)  # of connections
         self._waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._held: Request | None = None  # did not fit into the last batch
         self._said = False
@@ -111,7 +112,8 @@ class Server:
             if not is_ours(connection):
                 connection.close()
                 continue
-            threading.Thread(target=self.hear, args=(Connection(connection),), daemon=True).start()
+            asks = Connection(connection, number=next(self._numbers))
+            threading.Thread(target=self.hear, args=(asks,), daemon=True).start()
 
     def hear(self, connection: Connection) -> None:
         """Read a connection to its end."""
@@ -124,7 +126,7 @@ class Server:
                 if isinstance(message, Area):
                     connection.take_area(message, inbox.descriptors.pop(0))
                 elif isinstance(message, Cloud):
-                    self._take_part(message, inbox.descriptors.pop(0))
+                    self._take_part(connection, message, inbox.descriptors.pop(0))
                 elif isinstance(message, Floor):
                     floor = message
                 elif isinstance(message, MapPicture):
@@ -141,18 +143,14 @@ class Server:
             connection.closed = True
             connection.socket.close()
 
-    def _take_part(self, cloud: Cloud, descriptor: int) -> None:
-        """Keep the splats of a moving part; those that are known already are not read."""
+    def _take_part(self, connection: Connection, cloud: Cloud, descriptor: int) -> None:
+        """Keep the splats of a moving part, in place of those sent under its name before."""
         try:
-            with self._lock:
-                if cloud.name in self._parts:
-                    return
             if os.fstat(descriptor).st_size < max(cloud.size, 1):
                 raise DeviceError("an area is smaller than said", where="drawing socket")
             with mmap.mmap(descriptor, max(cloud.size, 1)) as area:
                 found = cloud.read(np.frombuffer(bytes(area), np.uint8))
-            with self._lock:
-                self._parts[cloud.name] = found
+            connection.parts[cloud.name] = found  # nothing of it is being drawn: it waits for us
         finally:
             os.close(descriptor)
 
@@ -305,11 +303,10 @@ class Server:
             self._known.add(draw.key)
         if draw.parts is not None:
             for name in draw.parts.clouds:
-                with self._lock:
-                    cloud = self._parts.get(name)
+                cloud = request.connection.parts.get(name)
                 if cloud is None:
                     raise RenderError("a moving part that was not sent", where="drawing socket")
-                self._batch.name_cloud(name, cloud)
+                self._batch.name_cloud(f"{request.connection.prefix}{name}", cloud)
             check_parts(draw.parts.read(draw.count), draw.count, draw.parts.clouds)
         floor = request.floor
         if floor is not None and self._limited.get(draw.key) != floor.name:
@@ -327,7 +324,8 @@ class Server:
         if any(r.draw.parts is not None for r in group):
             for r in group:
                 sent, count = r.draw.parts, r.draw.count
-                moving += [()] * count if sent is None else sent.read(count)
+                prefix = r.connection.prefix
+                moving += [()] * count if sent is None else sent.read(count, prefix)
         for begin in range(0, len(views), self._views):
             end = min(begin + self._views, len(views))
             self._handing.make_room()

@@ -191,7 +191,7 @@ def test_a_changed_scene_is_not_sampled(data_suite, settings_of, tmp_path) -> No
 
 
 @pytest.mark.parametrize("field", ["layout", "samples"])
-@pytest.mark.parametrize(("value", "remedy"), [(0, "build the dataset again"), (2, "newer gn0")])
+@pytest.mark.parametrize(("value", "remedy"), [(0, "build the dataset again"), (3, "newer gn0")])
 def test_a_dataset_of_another_schema_says_what_to_do(labels_only, tmp_path, field, value, remedy):
     about = json.loads((labels_only.folder / DATASET_FILE).read_text())
     about[field] = value

@@ -34,9 +34,11 @@ from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
 from gn0.render.share.client import DrawConnection, DrawServer
 from gn0.scenes.folder import load_scene
+from gn0.sim import presets
 from gn0.suites import scene_drawing
 from gn0.suites.scene_drawing import LOADER
 from gn0.suites.suite import Suite, save_suite
+from gn0_trials import people_samples
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
 
@@ -302,6 +304,7 @@ class BatchOnHost:
         self.add, self.holds, self.prepare = (
             self._batch.add, self._batch.holds, self._batch.prepare
         )  # fmt: skip
+        self.name_cloud = self._batch.name_cloud
 
     def draw(self, *args, **more):  # type: ignore[no-untyped-def]
         found = self._batch.draw(*args, **more)
@@ -443,6 +446,43 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     assert shards and all(one[name] == other[name] for name in shards)
     assert b'"backend": "cuda"' in other["dataset.json"]
     assert sample_pictures.BATCH == 32 and part_pictures.AHEAD == 64
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_files_of_people_made_on_a_device_are_the_bytes_of_before(
+    small_camera, tmp_path, files_of, monkeypatch
+) -> None:
+    """With people in the views, and a history that is black where somebody is followed."""
+    from gn0.render.share.client import SceneEncoder
+
+    camera = msgspec.structs.replace(
+        presets.find_preset(small_camera), agent=people_samples.BODY, history_tile=(12, 9)
+    )
+    monkeypatch.setitem(presets._BY_NAME, small_camera, camera)
+    monkeypatch.setattr(people_samples, "CAMERA", small_camera)
+    bank = people_samples.save_bank(tmp_path / "bank")
+    suite = people_samples.save_peopled(tmp_path / "suite", bank)
+    listener, address = serve_here(BatchOnHost())
+    start_at(address, monkeypatch)
+    made, render_files = [0], SceneEncoder.render_files
+
+    def counted(*args):
+        found = render_files(*args)
+        made[0] += len(found.mosaics)
+        return found
+
+    monkeypatch.setattr(SceneEncoder, "render_files", counted)
+    settings = BuildSettings(pictures=PictureSettings(depth=True))
+    build_dataset(suite, tmp_path / "cpu", settings, bank=bank)
+    drawn = msgspec.structs.replace(settings, pictures=with_backend(settings.pictures, "cuda"))
+    built = build_dataset(suite, tmp_path / "cuda", drawn, bank=bank)
+    assert made[0] == built.about.rows >= 30
+    assert verify_dataset(tmp_path / "cuda", pixels=True).ok
+    listener.close()
+    one, other = files_of(tmp_path / "cpu"), files_of(tmp_path / "cuda")
+    same = [name for name in one if name.endswith((".tar", ".index.parquet", ".parquet"))]
+    assert len(same) >= 4 and all(one[name] == other[name] for name in same)
 
 
 @pytest.mark.slow

@@ -99,7 +99,9 @@ def test_what_a_row_carries_makes_the_pictures_of_the_simulator_again(data: Data
     for name in data.sampled:
         episode, rows = data.episode(name), data.rows(name)
         sensors = {"rgb", "depth", "history"}
-        simulator = open_simulator(data.scene("flat"), CAMERA, "cpu", sensors, BODY, bank=data.bank)
+        simulator = open_simulator(
+            data.scene("flat"), CAMERA, "cpu", sensors, BODY, bank=data.bank, light=episode.light
+        )
         seen = simulator.reset(episode)
         frames = read_frames(data, name, sensors, exact=True)
         kept = read_frames(data, name, ("rgb", "history"))
@@ -347,6 +349,7 @@ def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: P
         load_sample_table(path)
 
 
+@pytest.mark.slow
 def test_videos_show_people_and_a_black_history(suite: Suite, bank: Path, tmp_path: Path) -> None:
     made = build_dataset(suite, tmp_path / "data", settings_of("lerobot"), bank=bank)
     assert verify_dataset(made.folder, pixels=True, workers=1).ok

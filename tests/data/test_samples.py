@@ -118,7 +118,7 @@ def test_a_value_without_meaning_names_its_column_and_row(tmp_path, name, value,
 
 
 @pytest.mark.parametrize(
-    ("layout", "remedy"), [("0", "build the dataset again"), ("2", "newer gn0")]
+    ("layout", "remedy"), [("0", "build the dataset again"), ("3", "newer gn0")]
 )
 def test_another_layout_says_what_to_do(tmp_path, layout, remedy) -> None:
     table = encode_rows([make_rows()]).replace_schema_metadata({"gn0.samples": layout})

@@ -27,10 +27,8 @@ def data(tmp_path_factory) -> Dataset:
     return build_dataset(suite, root / "data", settings, bank=bank)
 
 
-@pytest.mark.parametrize(
-    "prompt",
-    [pytest.param("paper_following", marks=pytest.mark.slow), "paper_following_views"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("prompt", ["paper_following", "paper_following_views"])
 def test_a_few_steps_on_the_cpu(prompt: str, data: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(

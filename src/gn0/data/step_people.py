@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from gn0.errors import FormatError
@@ -198,7 +199,7 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
         begins: the first row of each episode.
     """
     sizes = {
-        name: np.asarray(pa.compute.list_value_length(table.column(name)))
+        name: np.asarray(pc.list_value_length(table.column(name)))
         for name in ("people", "people_doing", "people_seen")
     }
     count, rest = np.divmod(sizes["people"], REALS)
@@ -218,7 +219,7 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
         "person": (
             (person < 0) | (person > PEOPLE_MOST) | ((person > 0) & (count == 0))
             | (person != person[first]),
-            f"is no number of a person, 0 to {PEOPLE_MOST}, or another than before",
+            f"is not the number of a person, 0 to {PEOPLE_MOST}, or another than before",
         ),
         "people_seen": (
             ((seen != 0) & (seen != SEEN * count)) | (seen != seen[first]),

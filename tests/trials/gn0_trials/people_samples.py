@@ -9,6 +9,7 @@ from pathlib import Path
 from gn0.avatars import generate_bank
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow, MissionGoal
 from gn0.people.person import EpisodePerson
+from gn0.render.light import LightCondition
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.scene import Scene
@@ -16,6 +17,7 @@ from gn0.suites.suite import Suite, save_suite
 
 BODY = AgentSpec(radius=0.25, step_seconds=0.2)
 CAMERA = "tiny_128"
+EVENING = LightCondition(name="evening", exposure=-1.0, kelvin=3200.0)
 REFERENCE = "110101023100"  # what the agent does behind the person
 
 
@@ -49,7 +51,7 @@ def crossed_episode() -> Episode:
 
 
 def follow_episode(bank_hash: str = "") -> Episode:
-    """A person walks ahead, another stands aside; the agent goes after the first."""
+    """In the evening a person walks ahead, another stands aside; the agent goes after the first."""
     person = EpisodePerson(
         number=5, identity="p0000", bank=bank_hash, path=((2.6, 2.5), (3.8, 2.5)), speed=0.8
     )
@@ -63,6 +65,7 @@ def follow_episode(bank_hash: str = "") -> Episode:
     return Episode(
         id="c-follow", scene_id="flat", mission=mission, start=(1.3, 2.5, 0.0), path_id="c",
         agent=BODY, path=((1.3, 2.5), (2.8, 2.5)), people=(other, person), split="train",
+        light=EVENING,
     )  # fmt: skip
 
 

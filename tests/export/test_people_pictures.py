@@ -50,7 +50,7 @@ def _play(dataset: Dataset, bank: Path, name: str, camera: str) -> list[U8]:
     rows, episode = dataset.rows(name), dataset.episode(name)
     simulator = open_simulator(
         dataset.scene("flat"), camera, "cpu", {"rgb"}, dataset.about.agent, bank=bank,
-        navigation=dataset.navigation("flat"),
+        navigation=dataset.navigation("flat"), light=episode.light,
     )  # fmt: skip
     seen = [simulator.reset(episode)]
     for code in rows.executed[:-1].tolist():

@@ -22,7 +22,7 @@ from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.expert_labels import LabelSettings, label_states, walk_actions
 from gn0.data.sample_table import EpisodeRows
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
-from gn0.errors import ConfigError, DataError, EpisodeError, PolicyError
+from gn0.errors import ConfigError, DataError, PlanError, PolicyError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.paper import HALT_STEPS
@@ -232,7 +232,7 @@ def test_what_cannot_be_labelled_is_refused(simulator: Simulator, episode: Episo
     follow = msgspec.structs.replace(
         episode, mission=MissionFollow(goal=episode.goal, instruction="Follow.", human="a")
     )
-    with pytest.raises(EpisodeError, match="track"):
+    with pytest.raises(PlanError, match="whom to follow"):
         collect(simulator, PolicyScript(), follow)
     blind = PolicyScript()
     blind.sensors = frozenset({"rgb"})

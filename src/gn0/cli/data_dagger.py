@@ -2,8 +2,8 @@
 
 DAgger collects the states that the policy really visits, mistakes included, with what would have
 been right there. The result is a dataset like any other, whose samples also hold the policy's own
-answers. A collection that was stopped goes on when the same command is given again, and has the
-same bytes for any number of workers.
+answers. People may be in the way, or be followed. A collection that was stopped goes on when the
+same command is given again, and has the same bytes for any number of workers.
 """
 
 from __future__ import annotations
@@ -62,6 +62,8 @@ class Args(Config, frozen=True):
         workers: processes; never changes a byte.
         executor: where the workers run: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
+        bank: folder of the bank of people whom episodes name; those named are copied into the
+            dataset. Drawn people (drawn:0:7) need none.
         shard: i/n collects the i-th of n shards, on a machine of its own; `gn0 data merge` joins
             them into the same dataset that is collected without it. Empty collects all.
         plugin: modules to import first; they call `gn0.plugins.register` for your policies.
@@ -89,6 +91,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    bank: str = ""
     shard: str = ""
     plugin: tuple[str, ...] = ()
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
@@ -140,6 +143,7 @@ def run(args: Args) -> int:
             "executor": args.executor,
             "ray_address": args.ray_address,
             "agents": args.agents,
+            "bank": args.bank or None,
             "progress": progress,
         }
         if name is not None:

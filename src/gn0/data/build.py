@@ -55,7 +55,6 @@ from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.locked_folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
 from gn0.missions.episode import Episode
-from gn0.missions.people import refuse_people
 from gn0.people.person import drawn_identity
 from gn0.progress import Progress, no_progress
 from gn0.render.share.client import DrawServer
@@ -190,8 +189,6 @@ def _build(
     progress: Progress,
     note: Callable[[str], None],
 ) -> None:
-    if settings.dagger is not None:
-        refuse_people(suite.episodes, "samples of `gn0 data dagger`")
     named = find_bank(suite.episodes, bank)
     about = describe_dataset(suite, settings, named)
     every = plan_parts(suite, out, about.settings.chunk)

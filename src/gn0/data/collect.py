@@ -13,6 +13,7 @@ from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
 from gn0.data.settings import BuildSettings, DaggerSettings
 from gn0.errors import ConfigError
+from gn0.missions.follow_rules import FOLLOW
 from gn0.paper import ACTIONS_AHEAD, SUCCESS_RADIUS
 from gn0.plugins import SECRETS, get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
@@ -34,6 +35,10 @@ class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
         missed_stops: of them, where the label said STOP and the policy did not.
         arrived: episodes whose last state is within the success distance and ended with STOP.
         demonstrated: whether the labels are what was done, not the expert's.
+        following: of the states, those behind a person; STOP stands still there and ends nothing,
+            so that the counts of STOP and of arrivals leave them out.
+        followed: of them, those within the distance at which a step follows.
+        following_episodes: of the episodes, those behind a person.
     """
 
     episodes: int
@@ -45,6 +50,9 @@ class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
     missed_stops: int
     arrived: int
     demonstrated: bool = False
+    following: int = 0
+    followed: int = 0
+    following_episodes: int = 0
 
 
 def build_dagger(
@@ -56,9 +64,12 @@ def build_dagger(
     executor: Literal["process", "ray"] = "process",
     ray_address: str = "",
     agents: int = 1,
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Dataset:
     """Collect a dataset with the policy of `settings.dagger`; see `build_dataset`.
+
+    Episodes with people, and those to follow somebody, are driven one at a time for any `agents`.
 
     Raises:
         ConfigError: no policy is given, there is none of that name, or an option is a secret.
@@ -73,6 +84,7 @@ def build_dagger(
         executor=executor,
         ray_address=ray_address,
         agents=agents,
+        bank=bank,
         progress=progress,
     )
 
@@ -105,8 +117,9 @@ def sum_up(dataset: Dataset) -> DaggerSummary:
     """What a collection holds, counted."""
     dagger = dataset.about.settings.dagger
     radius = dagger.success_radius if dagger is not None else SUCCESS_RADIUS
-    counts = dict.fromkeys(("states", "agreed", "collided", "wrong", "missed", "arrived"), 0)
-    episodes = 0
+    kinds = ("states", "agreed", "collided", "wrong", "missed", "arrived", "following", "followed")
+    counts = dict.fromkeys(kinds, 0)
+    episodes = behind = 0
     for part in dataset.about.parts:
         for rows in dataset.part_rows(part):
             said = np.array([codes[0] for codes in rows.policy_actions], np.int8)
@@ -115,6 +128,11 @@ def sum_up(dataset: Dataset) -> DaggerSummary:
             counts["states"] += len(rows)
             counts["agreed"] += int((said == label).sum())
             counts["collided"] += int(rows.collided.sum())
+            if rows.person:
+                behind += 1
+                counts["following"] += len(rows)
+                counts["followed"] += int((rows.distance <= FOLLOW.reach).sum())
+                continue
             counts["wrong"] += int(((said == Action.STOP) & (label != Action.STOP)).sum())
             counts["missed"] += int(((said != Action.STOP) & (label == Action.STOP)).sum())
             ended = rows.executed[-1] == Action.STOP
@@ -130,33 +148,47 @@ def sum_up(dataset: Dataset) -> DaggerSummary:
         missed_stops=counts["missed"],
         arrived=counts["arrived"],
         demonstrated=bool(dagger is not None and dagger.demonstrate),
+        following=counts["following"],
+        followed=counts["followed"],
+        following_episodes=behind,
     )
 
 
 def describe_summary(summary: DaggerSummary) -> str:
     """A summary in a few lines of plain words."""
     states = max(summary.states, 1)
+    to_goals = summary.episodes - summary.following_episodes
     if summary.demonstrated:
         lines = [
             f"{summary.states:,} states of {summary.episodes:,} walks, each labelled with the next "
             f"{ACTIONS_AHEAD} actions and 3 m of the walk itself",
-            f"{summary.arrived} of {summary.episodes} walks ended at the goal; an obstacle cut "
+            f"{summary.arrived} of {to_goals} walks ended at the goal; an obstacle cut "
             f"{summary.collided / states:.1%} of the steps short",
         ]
     else:
         lines = _describe_collected(summary, states)
+    if summary.following:
+        lines.append(
+            f"{summary.following_episodes} episodes are behind a person: in "
+            f"{summary.followed / summary.following:.1%} of their {summary.following:,} states it "
+            f"was within {FOLLOW.reach:g} m"
+        )
     if summary.skipped:
         lines.append(f"{summary.skipped} episodes could not be driven: see dataset.json")
     return "\n".join(lines)
 
 
 def _describe_collected(summary: DaggerSummary, states: int) -> list[str]:
-    return [
+    lines = [
         f"{summary.states:,} states of {summary.episodes:,} episodes, each labelled with "
         f"{ACTIONS_AHEAD} actions and the next 3 m",
         f"the policy said what the expert would do in {summary.agreed / states:.1%} of them, "
         f"was cut short by an obstacle in {summary.collided / states:.1%}",
-        f"it said STOP too early in {summary.wrong_stops} states and missed it in "
-        f"{summary.missed_stops}; {summary.arrived} of {summary.episodes} episodes ended at "
-        "the goal",
     ]
+    to_goals = summary.episodes - summary.following_episodes
+    if to_goals or not summary.episodes:
+        lines.append(
+            f"it said STOP too early in {summary.wrong_stops} states and missed it in "
+            f"{summary.missed_stops}; {summary.arrived} of {to_goals} episodes ended at the goal"
+        )
+    return lines

@@ -14,6 +14,11 @@ Where the policy hovers near the goal without saying STOP a halting rule ends th
         with STOP where they enter the zone.
     none: the expert's label alone.
 
+Where people are about the expert waits for them and goes round who stands (`gn0.data.dagger_goal`);
+who is to be followed is labelled against where the person goes next (`gn0.data.dagger_follow`), and
+none of the rules above ends such an episode. A policy alone can be driven among people, not many
+agents side by side.
+
 A demonstration (`DaggerSettings.demonstrate`) is labelled with what was done next and the way that
 was walked, as the expert's own walks are with theirs.
 """
@@ -24,14 +29,18 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from gn0.data.dagger_follow import FollowVisitor
+from gn0.data.dagger_goal import GoalExpert
 from gn0.data.expert_labels import I8, ROUNDING, LabelSettings, cut_at, label_states, plan_from
 from gn0.data.field_labels import label_poses
 from gn0.data.sample_table import NO_TOKEN, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
+from gn0.data.step_people import StepPeople
 from gn0.data.walked_way import walked_way
 from gn0.data.waypoints import sample_way_points
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError, PolicyError, SimError
@@ -39,8 +48,9 @@ from gn0.geometry import F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
-from gn0.missions.people import refuse_people
+from gn0.missions.generate.follow_sight import sight_grid
 from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS
+from gn0.people.crowd import CrowdState
 from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
 from gn0.sim.policy import Policy
@@ -49,6 +59,10 @@ from gn0.sim.rollout_batch import RolloutBatch
 from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.state import Action, Displacement, Observation, Teleport
 from gn0.sim.walkers import Walkers
+
+if TYPE_CHECKING:
+    from gn0.maps.grid import OccupancyGrid
+    from gn0.scenes.scene import Scene
 
 ZONE_SHARE, ZONE_LEAST, ZONE_MOST = 0.2, 1.0, 3.0  # of the path's length; m
 _SAME = 1e-6  # m or rad between where a plan expects the agent and where it is
@@ -172,6 +186,8 @@ class Visitor:
         PlanError: the goal cannot be reached.
     """
 
+    over = False  # it ends where the simulator says so
+
     def __init__(
         self,
         standing: Standing,
@@ -186,7 +202,14 @@ class Visitor:
         length = self._field.distance_at(episode.start[0], episode.start[1])
         within = episode.success_within(settings.success_radius)
         self._halt = _Halt(settings.halting, within, self._field, length)
-        self._expert = _Expert(standing, self._field, labels)
+        self._company = None
+        self._expert: _Expert | GoalExpert
+        if episode.people and isinstance(standing, Simulator):
+            self._company = standing.company
+            self._expert = GoalExpert(standing, labels)
+        else:
+            self._expert = _Expert(standing, self._field, labels)
+        self._states: list[CrowdState] = []
         self._visits: list[_Visit] = []
         self._now: _Visit | None = None
 
@@ -194,6 +217,9 @@ class Visitor:
         """Label the state that the agent has come to."""
         pose = self._standing.pose
         self._halt.look(pose)
+        state = None if self._company is None else self._company.save()
+        if state is not None:
+            self._states.append(state)
         ahead = np.zeros(ACTIONS_AHEAD, np.int8)
         plan = self._expert.actions()
         ahead[: len(plan)] = plan
@@ -219,28 +245,21 @@ class Visitor:
     def rows(self, end: Pose2D) -> EpisodeRows:
         """The rows of the episode, which has ended there."""
         if self._settings.demonstrate:
-            return _demonstration(self.episode, self._field, self._visits, end)
-        rows = _rows(self.episode, self._field, self._visits)
-        if self._labels.variant != "field":
+            rows = _demonstration(self.episode, self._field, self._visits, end)
+        else:
+            rows = _rows(self.episode, self._field, self._visits)
+            if self._labels.variant == "field":
+                agent, near = self._standing.agent, self._labels.stop_distance - ROUNDING
+                found = label_poses(self._field, rows.poses, agent, near)
+                rows = dataclasses.replace(rows, waypoints=found.waypoints, valid=found.valid)
+        if not self._states:
             return rows
-        agent, near = self._standing.agent, self._labels.stop_distance - ROUNDING
-        found = label_poses(self._field, rows.poses, agent, near)
-        return dataclasses.replace(rows, waypoints=found.waypoints, valid=found.valid)
+        return dataclasses.replace(rows, people=StepPeople.of_states(self._states))
 
 
-def check_drivable(episode: Episode) -> None:
-    """Refuse what a policy alone cannot be driven through.
-
-    Raises:
-        EpisodeError: the episode follows somebody who moves, or has people.
-    """
-    if isinstance(episode.mission, MissionFollow):
-        raise EpisodeError(
-            "a follow mission needs the track of the person",
-            where=f"episode {episode.id!r}",
-            remedy="label it with gn0.data.follow.label_follow",
-        )
-    refuse_people((episode,), "samples")
+def drives_alone(episode: Episode) -> bool:
+    """Whether an episode is driven by itself: people react to an agent, whom they must know."""
+    return bool(episode.people) or isinstance(episode.mission, MissionFollow)
 
 
 def collect_visited(
@@ -259,19 +278,29 @@ def collect_visited(
     Raises:
         PolicyError: the policy wants a sensor that is not carried, or answers with anything but a
             discrete action.
-        EpisodeError: the episode does not fit the scene, or follows somebody who moves.
-        PlanError: the goal cannot be reached.
+        EpisodeError: the episode does not fit the scene.
+        PlanError: the goal, or the person to follow, cannot be reached; or nobody says who that is.
     """
-    check_drivable(episode)
     observation = begin_episode(simulator, policy, episode)
-    visitor = Visitor(simulator, episode, settings, labels)
+    visitor: Visitor | FollowVisitor
+    if isinstance(episode.mission, MissionFollow):
+        sight = _find_sight(simulator.scene, simulator.agent.camera_height)
+        visitor = FollowVisitor(simulator, episode, settings, sight)
+    else:
+        visitor = Visitor(simulator, episode, settings, labels)
     while True:
         visitor.look()
         result = simulator.step(visitor.decide(_ask(policy, observation, episode)))
         visitor.note(result.collided)
         observation = result.observation
-        if result.terminated or result.truncated:
+        if result.terminated or result.truncated or visitor.over:
             return visitor.rows(simulator.pose)
+
+
+@lru_cache(maxsize=1)
+def _find_sight(scene: Scene, eye: float) -> OccupancyGrid:
+    """What hides people in the scene of last time, as it takes a while to find out."""
+    return sight_grid(scene, eye)
 
 
 def collect_together(
@@ -286,7 +315,7 @@ def collect_together(
     Args:
         rollout: agents and policy.
         navigation: the map of the scene.
-        episodes: begun in this order.
+        episodes: begun in this order; without people, see `drives_alone`.
         settings: who acts, and what ends an episode.
         labels: labels of the expert.
 
@@ -299,7 +328,6 @@ def collect_together(
         while waiting and rollout.free:
             episode = waiting.pop()
             try:
-                check_drivable(episode)
                 (slot,) = rollout.begin([episode])
                 standing = _AgentStanding(rollout.walkers, slot, navigation, episode)
                 visitors[slot] = Visitor(standing, episode, settings, labels)

@@ -237,7 +237,7 @@ def label_follow(
         except PlanError as error:
             raise PlanError(error.what, where=f"state {i}", remedy=error.remedy) from None
         actions[i, : len(plan)] = plan
-        onward = _walkable_part(navigation, track.trail(wanted.arc, track.arc_at(time)), way[-1])
+        onward = walkable_part(navigation, track.trail(wanted.arc, track.arc_at(time)), way[-1])
         valid[i] = spread_line(np.vstack([way, onward]), *frame, SPACING, state, waypoints[i])
     return Labels(actions, waypoints.astype(np.float32), valid)
 
@@ -259,7 +259,7 @@ def _plan(
     return np.full(min(abs(turns), ACTIONS_AHEAD), int(code), np.int8)
 
 
-def _walkable_part(navigation: NavigationMap, trail: F64, begin: F64) -> F64:
+def walkable_part(navigation: NavigationMap, trail: F64, begin: F64) -> F64:
     """The points [M, 2] of a trail up to the first leg that the agent cannot walk."""
     here = begin
     for count, point in enumerate(trail):

@@ -211,6 +211,10 @@ class FollowOracle:
         self._last = (pose, action)
         return action
 
+    def note(self, pose: Pose2D, action: Action) -> None:
+        """Note that another action was taken at a pose than `act` said there."""
+        self._last = (pose, action)
+
     def _time_on_track(self, time: float, person: Place) -> float:
         """When the track is where the person is: whoever had to wait is later than it."""
         (before, then), track = self._clock, self.task.track

@@ -9,7 +9,7 @@ from functools import lru_cache
 import msgspec
 
 from gn0.data.codec import encode_waypoints
-from gn0.data.dagger import collect_together, collect_visited
+from gn0.data.dagger import collect_together, collect_visited, drives_alone
 from gn0.data.dataset import Dataset
 from gn0.data.sample_table import EpisodeRows
 from gn0.data.settings import DaggerSettings
@@ -121,12 +121,13 @@ class Driver:
             PolicyError: the policy misbehaves.
         """
         alone = list(episodes)
-        if self._agents > 1 and episodes:
-            alone = []
+        together = [episode for episode in episodes if not drives_alone(episode)]
+        if self._agents > 1 and together:
+            alone = [episode for episode in episodes if drives_alone(episode)]
             navigation = self._dataset.navigation(episodes[0].scene_id)
             labels = self._dataset.about.settings.labels
             walks = collect_together(
-                self._open_rollout(episodes), navigation, episodes, self._settings, labels
+                self._open_rollout(together), navigation, together, self._settings, labels
             )
             for episode, rows in walks:
                 if rows is None:
@@ -184,6 +185,7 @@ class Driver:
                 light=light,
                 renderer=self._ask(scene_id, light) if sees else None,
                 map_view=getattr(self._policy, "map_view", None),
+                bank=self._dataset.bank,
             )
             self._look = look
         return self._simulator

@@ -31,12 +31,13 @@ from gn0.export.exporter import (
 from gn0.export.trips import ExportSource, EyesTold, Trip
 from gn0.locked_folder import LOCK, holds_leftovers_only, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
-from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
+from gn0.missions.sets.lost_goals import AREA_LOST, FOLLOW_LOST, OTHERS_LOST, PEOPLE_LOST
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 
 JOURNAL = "journal.jsonl"
 SAME_PATH = "another mission of a path that is there: the format has no use for words"
+NO_FOLLOWING = "a mission to follow somebody: the format cannot say that the agent stands still"
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def plan_export(exporter: DatasetExporter, job: Job, progress: Progress = no_pro
         progress("reading", done, 0)
         why = _why_not(exporter, trip, job.settings)
         if not why and exporter.one_a_path and trip.episode.path_id:
-            way = content_hash(trip.episode.scene_id, repr(trip.episode.light), trip.poses)
+            way = trip.way
             why = SAME_PATH if way in ways else ""
             ways.add(way)
         if why:
@@ -103,6 +104,8 @@ def _why_not(exporter: DatasetExporter, trip: Trip, settings: ExportSettings) ->
         return f"not of the split {settings.split!r}"
     if trip.source == "dagger" and not exporter.dagger:
         return "a walk of a policy, not of the expert"
+    if trip.follows and not getattr(exporter, "follows", False):
+        return NO_FOLLOWING
     return exporter.why_not(trip, settings)
 
 
@@ -302,7 +305,8 @@ def remark_export(folder: Path | str, format: str = "") -> list[str]:
     lost: list[str] = []
     if (Path(folder) / EXPORT_FILE).is_file():
         notes = load_export_file(folder).notes
-        lost = [f"{notes[what]:,} × {what}" for what in (OTHERS_LOST, AREA_LOST) if what in notes]
+        known = (OTHERS_LOST, AREA_LOST, FOLLOW_LOST, PEOPLE_LOST)
+        lost = [f"{notes[what]:,} × {what}" for what in known if what in notes]
     return get_dataset_exporter(name).remarks(Path(folder)) + lost
 
 

@@ -106,8 +106,14 @@ class Job:
 
 
 class OwnPoses:
-    """What most formats have in common: a picture a pose, through one camera."""
+    """What most formats have in common: a picture a pose, through one camera.
 
+    Attributes:
+        follows: whether missions to follow somebody may be exported; a class that says nothing is
+            given none, as its reader may take the STOP of one who stands still for the end.
+    """
+
+    follows = False
     pictures = True
     dagger = False
     has_splits = False

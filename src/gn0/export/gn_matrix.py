@@ -42,6 +42,7 @@ class ExporterGnMatrixParquet(OwnPoses):
     title = "GN-Matrix episodes (Parquet)"
     reader = "GN-Bench: `data/datasets/GN_Matrix/…/*.parquet` beside the scene folders"
     frame = "GN-Matrix nav frame: world − (lower + upper) of each map [m]; pixels of occupancy.png"
+    follows = True
     pictures = False
     has_splits = True
     episodes_format, suffix = "gn-matrix", ".parquet"

@@ -77,6 +77,7 @@ class ExporterLeRobot3(OwnPoses):
         "in the agent's frame; depth: camera z in mm; pixels are (x, y) of the map pictures"
     )
     dagger = True
+    follows = True
     scratch = PARTS
     has_splits = True
 
@@ -104,7 +105,7 @@ class ExporterLeRobot3(OwnPoses):
             quality = job.settings.quality
             path = f"goals/{content_hash(goal)}.jpg"
             beside[2] = _keep(job, path, lambda: encode_jpeg(goal, quality))
-        way = content_hash(episode.scene_id, repr(episode.light), trip.poses)
+        way = trip.way
         walk = _known_walk(job, way)
         if walk is None:
             maps = (fit_map(draw_dots(view.bare, start, spot, DISC_RADIUS)) for spot in here)

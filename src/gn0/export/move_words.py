@@ -40,25 +40,30 @@ class Decision(NamedTuple):
     answer: str
 
 
-def merge_amounts(moves: Sequence[int], step: float, turn: float, most: int = 3) -> list[Decision]:
-    """Decisions with amounts: "move forward 75 cm", "turn left 30 degrees"; "stop" at the end.
+def merge_amounts(
+    actions: Sequence[int], step: float, turn: float, most: int = 3
+) -> list[Decision]:
+    """Decisions with amounts: "move forward 75 cm", "turn left 30 degrees"; "stop" for each STOP.
 
     Args:
-        moves: actions without STOP.
+        actions: those of all poses, as `Trip.answers` are.
         step: length of FORWARD [m].
         turn: angle of a turn [degrees].
-        most: moves put into one decision.
+        most: moves put into one decision; a "stop" is one by itself.
     """
     found = []
-    for run in find_runs(moves):
-        for done in range(0, run.length, most):
-            amount = min(most, run.length - done)
-            if run.move == FORWARD:
+    for run in find_runs(actions):
+        width = 1 if run.move == STOP else most
+        for done in range(0, run.length, width):
+            amount = min(width, run.length - done)
+            if run.move == STOP:
+                words = WORD[STOP]
+            elif run.move == FORWARD:
                 words = f"move forward {_number(amount * step * 100)} cm"
             else:
                 words = f"turn {WORD[run.move]} {_number(amount * turn)} degrees"
             found.append(Decision(run.begin + done, words))
-    return [*found, Decision(len(moves), "stop")]
+    return found
 
 
 def _number(value: float) -> str:
@@ -82,7 +87,7 @@ def coarsen_turns(moves: Sequence[int], turn: float, wanted: float) -> tuple[lis
         return [CoarseMove(number, int(move)) for number, move in enumerate(moves)], 0
     found, lost = [], 0
     for run in find_runs(moves):
-        width = 1 if run.move == FORWARD else ratio
+        width = ratio if run.move in (LEFT, RIGHT) else 1
         whole = run.length // width
         found += [CoarseMove(run.begin + k * width, run.move) for k in range(whole)]
         lost += run.length - whole * width

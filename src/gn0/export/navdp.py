@@ -56,6 +56,10 @@ DEPTH_UNIT = 1e-4  # m
 LOOK_AHEAD = 0.5  # m
 STRIDE, FARTHEST_STEP = 4, 0.25  # frames, m: labels are four times a step and clipped to 1
 FEWEST = 4  # frames: its loader draws a start, a memory and a target from them
+BETWEEN_STEPS = (
+    "people are in its pictures, and between the steps of a walk nobody knows where: give "
+    "--spacing 0, which keeps the steps"
+)
 OBSTACLE, FLOOR = (0, 0, 128), (200, 200, 200)  # the loader wants (0, 0, 0.5) ± 0.05
 HEIGHT_OF_OBSTACLE = 0.5  # m
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -95,7 +99,9 @@ class ExporterNavDp(OwnPoses):
     one_a_path = True
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
-        """A way too short for its loader."""
+        """A way too short for its loader; people, where its frames are not steps of the walk."""
+        if settings.spacing and trip.episode.people:
+            return BETWEEN_STEPS
         if len(self.poses(trip, settings)) < FEWEST:
             return f"fewer than {FEWEST} frames along the way"
         return ""

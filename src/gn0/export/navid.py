@@ -6,6 +6,10 @@ turns, at most three, and takes a random action where that is none (jzhzhang/NaV
 `navid_agent.py` 333 to 353). So walks must be of such a body, or turns are merged, and what is left
 over of them is counted. The question is the text that their agents ask; one frame is one second,
 as their readers sample it (`video_fps` 1).
+
+Where somebody is followed, "stop" stands still for one action and ends nothing, as Uni-NaVid's
+"stop" is a speed of 0 in EVT-Bench (wsakobe/TrackVLA @c69f9d9, `agent_uninavid.py` 352 to 366);
+what their VLN-CE agents do at it is to end. A frame is an action there as well, whatever it lasts.
 """
 
 from __future__ import annotations
@@ -49,6 +53,7 @@ UNINAVID_ASKS = (
 FPS = 1
 AHEAD = 4
 STEP, TURN, MOST = 0.25, 30.0, 3  # m, degrees, moves of one answer
+WAITS = 'answer "stop" that stands still for one action: who follows somebody goes on after it'
 _TASK = re.compile(r"Your assigned task is: '(.*)'\. Analyze", re.DOTALL)
 _AMOUNT = re.compile(
     r"The next action is (?:move (forward) (\d+) cm|turn (left|right) (\d+) degrees|(stop))\."
@@ -84,6 +89,7 @@ class _Conversations(OwnPoses, ABC):
     program = ""
     asks = ""
     answer = _WORDS
+    follows = True
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Steps that their words cannot say; a walk without an end, which has no last answer."""
@@ -101,6 +107,8 @@ class _Conversations(OwnPoses, ABC):
             return "turns of which 30° cannot be made"
         if abs(agent.forward_step - STEP) > 1e-9:
             return "steps other than 0.25 m"
+        if trip.follows:
+            return "" if coarse_moves(trip)[0] else "nothing but turns that are left over of 30°"
         return "" if trip.stopped else "it did not end with STOP"
 
     def poses(self, trip: Trip, settings: ExportSettings) -> F64:
@@ -108,22 +116,23 @@ class _Conversations(OwnPoses, ABC):
         return trip.poses[self.shown(trip)]
 
     def shown(self, trip: Trip) -> list[int]:
-        """Where a move of theirs begins, and the end: what their agents see."""
+        """Where a move of theirs begins, up to the last that is asked: what their agents see."""
         coarse, _ = coarse_moves(trip)
-        return [*(step.pose for step in coarse), trip.frames - 1]
+        seen = self.answers([step.move for step in coarse])[-1][0]
+        return [step.pose for step in coarse[:seen]]
 
     @abstractmethod
-    def answers(self, moves: Sequence[int]) -> list[tuple[int, str]]:
-        """(frames shown, answer) of each decision."""
+    def answers(self, actions: Sequence[int]) -> list[tuple[int, str]]:
+        """(frames shown, answer) of each decision, of what is done at each frame."""
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """The clips of an episode: one a question."""
         settings, episode = job.settings, trip.episode
         coarse, lost = coarse_moves(trip)
+        shown = set(self.shown(trip))
         answers = self.answers([step.move for step in coarse])
         last = len(answers) - 1
         asked = [a for n, a in enumerate(answers) if n % settings.every == 0 or n == last]
-        shown = set(self.shown(trip))
         seen = job.source.frames(trip, settings.preset(job.source), RGB)
         clip = encode_frames(
             (f.rgb for n, f in enumerate(seen) if n in shown and f.rgb is not None),
@@ -147,7 +156,9 @@ class _Conversations(OwnPoses, ABC):
         notes = {"questions": len(asked)}
         if lost:
             notes[f"single {episode.agent.turn_degrees:g}° turns without a word"] = lost
-        merged = len(coarse) != len(trip.moves)
+        if trip.follows and (waits := trip.answers.count(STOP)):
+            notes[WAITS] = waits
+        merged = len(coarse) != trip.frames
         return {"gn0": name_of(trip), "talks": talks, "notes": notes, "merged": merged}
 
     def finish(self, records: Sequence[Record], job: Job) -> None:
@@ -240,9 +251,9 @@ class ExporterNaVid(_Conversations):
     asks = NAVID_ASKS
     answer = _AMOUNT
 
-    def answers(self, moves: Sequence[int]) -> list[tuple[int, str]]:
+    def answers(self, actions: Sequence[int]) -> list[tuple[int, str]]:
         """Moves put together, up to three."""
-        found = merge_amounts(moves, STEP, TURN, MOST)
+        found = merge_amounts(actions, STEP, TURN, MOST)
         return [(d.pose + 1, f"The next action is {d.answer}.") for d in found]
 
     def misread(self, answer: str) -> str:
@@ -263,13 +274,23 @@ class ExporterNaVid(_Conversations):
         found: list[int] = []
         for (begin, answer), (end, _) in pairwise(labels):
             match = _AMOUNT.fullmatch(answer)
-            if match is None or match[5]:
+            if match is None:
                 return None
+            if match[5]:  # it stands still, as who follows somebody may
+                if end - begin != 1:
+                    return None
+                found.append(STOP)
+                continue
             move = FORWARD if match[1] else {"left": LEFT, "right": RIGHT}[match[3]]
             amount = int(match[2]) / 25 if match[1] else int(match[4]) / 30
             if abs(amount - (end - begin)) > 1e-6:
                 return None
             found += [move] * (end - begin)
+        last = _AMOUNT.fullmatch(labels[-1][1])
+        if last is not None and not last[5]:  # of its moves the last leads to no further frame
+            move = FORWARD if last[1] else {"left": LEFT, "right": RIGHT}[last[3]]
+            amount = int(last[2]) / 25 if last[1] else int(last[4]) / 30
+            found += [move] * (round(amount) - 1)
         return tuple(found)
 
 
@@ -283,15 +304,15 @@ class ExporterUniNaVid(_Conversations):
     frame = "no coordinates: pictures and words (forward 0.25 m, left and right 30°)"
     asks = UNINAVID_ASKS
 
-    def answers(self, moves: Sequence[int]) -> list[tuple[int, str]]:
+    def answers(self, actions: Sequence[int]) -> list[tuple[int, str]]:
         """The next four words at each, filled up with stop."""
-        words = [WORD[move] for move in moves] + [WORD[STOP]] * AHEAD
-        return [(n + 1, " ".join(words[n : n + AHEAD])) for n in range(len(moves) + 1)]
+        words = [WORD[action] for action in actions] + [WORD[STOP]] * AHEAD
+        return [(n + 1, " ".join(words[n : n + AHEAD])) for n in range(len(actions))]
 
 
 def coarse_moves(trip: Trip) -> tuple[list[CoarseMove], int]:
-    """The moves in turns of 30°, and how many finer turns are left over."""
-    return coarsen_turns(trip.moves.tolist(), trip.episode.agent.turn_degrees, TURN)
+    """What is done at each pose, in turns of 30°, and how many finer turns are left over."""
+    return coarsen_turns(trip.answers, trip.episode.agent.turn_degrees, TURN)
 
 
 def _parts(talk: Talk, folder: Path) -> tuple[int, int]:

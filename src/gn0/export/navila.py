@@ -67,7 +67,7 @@ class ExporterNaVila(OwnPoses):
                 folder / f"frame_{number:04d}.jpg", encode_jpeg(frame.rgb, job.settings.quality)
             )
         episode = trip.episode
-        decisions = merge_amounts(trip.moves.tolist(), STEP, TURN)
+        decisions = merge_amounts(trip.answers, STEP, TURN)
         asked = [d for n, d in enumerate(decisions) if n % job.settings.every == 0 or
                  d is decisions[-1]]  # fmt: skip
         return {

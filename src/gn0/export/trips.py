@@ -18,11 +18,12 @@ from gn0.data.sample_table import EpisodeRows
 from gn0.errors import EpisodeError
 from gn0.geometry import F32, F64, U8
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import STEP_SECONDS, Episode
+from gn0.missions.episode import STEP_SECONDS, Episode, MissionFollow
 from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 from gn0.progress import Progress
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import MapFrame
+from gn0.storage import content_hash
 
 Sensors = tuple[Literal["rgb", "depth"], ...]
 RGB: Sensors = ("rgb",)
@@ -51,9 +52,10 @@ class Trip:
     Attributes:
         episode: the task.
         poses: [N+1, 3] x, y [m], yaw [rad], world frame: before each move, and where it ended.
-        moves: [N] 1 FORWARD, 2 LEFT, 3 RIGHT; the STOP at the end is not among them.
+        moves: [N] 1 FORWARD, 2 LEFT, 3 RIGHT; the STOP at the end is not among them. Where somebody
+            is followed, 0 is among them: it stands still for one action.
         ahead: [N+1, K] what should be done next at each pose, filled up with STOP.
-        stopped: whether it ended with STOP.
+        stopped: whether it ended with STOP; who follows somebody never does.
         source: "expert"; "dagger" for a walk of a policy with the expert's labels; "demonstration"
             for one with its own.
         rows: its samples, a row a pose: waypoints, map tokens, distances; None where unknown.
@@ -77,7 +79,8 @@ class Trip:
                 where=where,
                 remedy="a pose and labels before each move, and at the end",
             )
-        if not np.isin(self.moves, (FORWARD, LEFT, RIGHT)).all():
+        waits = (STOP,) if self.follows else ()
+        if not np.isin(self.moves, (*waits, FORWARD, LEFT, RIGHT)).all():
             raise EpisodeError("a move is not 1, 2 or 3", where=where, remedy="cut STOP off")
         if not np.isfinite(self.poses).all():
             raise EpisodeError("a pose is not finite", where=where, remedy="build it again")
@@ -88,9 +91,26 @@ class Trip:
         return len(self.poses)
 
     @property
+    def way(self) -> str:
+        """Digest of all that its pictures depend on, so that missions can share them."""
+        episode = self.episode
+        people = (repr(episode.people),) if episode.people else ()
+        return content_hash(episode.scene_id, repr(episode.light), self.poses, *people)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the mission is to follow somebody."""
+        return isinstance(self.episode.mission, MissionFollow)
+
+    @property
     def actions(self) -> list[int]:
         """The moves, and the STOP if there was one."""
         return [*map(int, self.moves), *([STOP] if self.stopped else [])]
+
+    @property
+    def answers(self) -> list[int]:
+        """What is done at each pose, the last included: STOP there, unless somebody is followed."""
+        return [*map(int, self.moves), int(self.ahead[-1, 0]) if self.follows else STOP]
 
 
 class Eyes(Protocol):

@@ -40,7 +40,7 @@ from gn0.missions.sets.vocabulary import (
     load_r2r_words,
     tell_unknown,
 )
-from gn0.paper import FORWARD, LEFT, RIGHT
+from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 from gn0.sim.kinematics import heading_yaw
 from gn0.storage import safe_join, write_bytes
 
@@ -136,14 +136,29 @@ def remember(trip: Trip, settings: ExportSettings, tokens: bool = True) -> Recor
     unknown = sum(word not in known for word in words) if known else 0
     notes = {UNKNOWN_WORDS: unknown, CUT: int(len(words) > TOKENS)}
     notes |= find_lost(trip.episode, several=True)
-    kept = np.r_[True, trip.moves == FORWARD]
+    locations, actions = ground_truth(trip)
     return {
         "episode": msgspec.to_builtins(trip.episode),
-        "locations": trip.poses[kept, :2].tolist(),
-        "actions": trip.actions,
+        "locations": locations,
+        "actions": actions,
         "gn0": name_of(trip),
         "notes": {what: count for what, count in notes.items() if count},
     }
+
+
+def ground_truth(trip: Trip) -> tuple[list[list[float]], list[int]]:
+    """The places [m] that each FORWARD led to, the start before them, and the actions.
+
+    Who follows somebody stands still now and then: that is left out, as a STOP ends an episode
+    there, and one stands at the end.
+    """
+    if not trip.follows:
+        kept = np.r_[True, trip.moves == FORWARD]
+        return trip.poses[kept, :2].tolist(), trip.actions
+    done = np.array(trip.answers)
+    ends = np.vstack([trip.poses[1:, :2], trip.episode.path[-1:] or trip.poses[-1:, :2]])
+    moves = [int(code) for code in done if code != STOP]
+    return [trip.poses[0, :2].tolist(), *ends[done == FORWARD].tolist()], [*moves, STOP]
 
 
 class ExporterVlnceR2R(OwnPoses):
@@ -155,6 +170,7 @@ class ExporterVlnceR2R(OwnPoses):
         "VLN-CE and its descendants: dataset type VLN-CE-v1, `DATA_PATH` {split}/{split}.json.gz"
     )
     frame = "Habitat: x right, y up, z back [m], floor at y = 0; rotations (x, y, z, w)"
+    follows = True
     pictures = False
     has_splits = True
     role = ""
@@ -163,7 +179,7 @@ class ExporterVlnceR2R(OwnPoses):
         """Ground truth ends with STOP; their encoder takes no instruction without words."""
         if not cut_words(trip.episode.instruction):
             return "an instruction without words"
-        return "" if trip.stopped else "it did not end with STOP"
+        return "" if trip.stopped or trip.follows else "it did not end with STOP"
 
     def reads(self, settings: ExportSettings) -> str:
         """R2R's vocabulary."""

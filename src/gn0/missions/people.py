@@ -85,7 +85,7 @@ def refuse_people(episodes: Iterable[_Peopled], what: str) -> None:
 
     Args:
         episodes: all of them.
-        what: does not show people yet: "environments on a device".
+        what: does not know of people yet: "the labels of live DAgger".
 
     Raises:
         EpisodeError: names the first one that has people.
@@ -93,10 +93,10 @@ def refuse_people(episodes: Iterable[_Peopled], what: str) -> None:
     found = next((episode for episode in episodes if episode.people), None)
     if found is not None:
         raise EpisodeError(
-            f"has {len(found.people)} people, and {what} do not show people yet",
+            f"has {len(found.people)} people, and {what} do not know of people yet",
             where=f"episode {found.id!r}",
-            remedy="make it without --people; gn0 bench run, gn0 data build, Simulator and "
-            "VectorEnv play people",
+            remedy="make it without --people; gn0 bench run, gn0 data build and dagger, Simulator "
+            "and VectorEnv play people",
         )
 
 

@@ -159,6 +159,23 @@ class Company:
         move = move_in_ticks(self.navigation, x0, y0, places, self.agent, touches)
         return move, stopped
 
+    def foretell(self, ticks: int) -> tuple[F64, F64]:
+        """Where everybody is from now on with the agent out of their way; nobody moves.
+
+        Returns:
+            Places [ticks+1, P, 2] m and unit vectors of headings [ticks+1, P, 2].
+        """
+        if not self.people:
+            return np.zeros((ticks + 1, 0, 2)), np.zeros((ticks + 1, 0, 2))
+        state, nobody = self._state.copy(), np.array([[0.0, 0.0, -1.0]])
+        rows = [state.real[0].copy()]
+        for _ in range(ticks):
+            assert self._walls is not None
+            step_crowd(state, self._routes, self._walls, nobody, radius=self.radius)
+            rows.append(state.real[0].copy())
+        found = np.array(rows)
+        return found[:, :, [X, Y]], found[:, :, [HX, HY]]
+
     def foresee(
         self, x0: float, y0: float, places: Sequence[tuple[float, float]]
     ) -> PersonHit | None:

@@ -27,6 +27,7 @@ from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.dagger import begin_examined, compare_entropy
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import Learner, open_learner
+from gn0.training.lessons_live import check_lessons
 from gn0.training.policy_driver import PolicyDriver, open_driver
 from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on, load_pupil
 from gn0.training.stage import Stage
@@ -209,6 +210,7 @@ def _open_walks(
     again = open_drivers(count_confirmed(job.agents)) if job.confirm_stop else None
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
+        check_lessons(lessons.episodes)
         world = open_world(
             lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say
         )

@@ -32,11 +32,13 @@ class PeopleThen:
     Attributes:
         parts: their instances, of clouds that the renderer knows until the next are asked for.
         places: [P, 2] where they are [m].
+        faces: unit vectors of their headings [P, 2].
         target: which of them is followed; −1 nobody.
     """
 
     parts: tuple[Instance, ...]
     places: F64
+    faces: F64
     target: int
 
 
@@ -104,7 +106,7 @@ class PeopleReplay:
             if index in wanted:
                 pose = Pose2D(*trace.poses[index])
                 parts = self.eyes.show(company, pose, focal)[0]
-                yield PeopleThen(parts, np.array(company.places), target)
+                yield PeopleThen(parts, np.array(company.places), np.array(company.faces), target)
 
     def stills(self, episode: Episode, trace: EpisodeTrace) -> tuple[PeopleStill, ...]:
         """People at each recorded pose of an episode.

@@ -406,7 +406,7 @@ class SceneView:
             assert self.walk is not None
             pose = self.walk.pose
             show = partial(self.walk.simulator.show_people, pose)
-            kind: Literal["depth", "RGB"] = "depth" if self.kind == "depth" else "RGB"
+            kind: Literal["RGB", "depth"] = "depth" if self.kind == "depth" else "RGB"
             self.eyes.show(self._renderer, pose, kind, show)
 
     def _tell(self, text: str) -> None:

@@ -71,11 +71,16 @@ def test_a_changed_avatar_is_not_taken_for_the_bank_s(bank: Path, tmp_path: Path
         AvatarBank(tmp_path).load("p0000")
     listed = json.loads((bank / "bank.json").read_text())
     (tmp_path / "bank.json").write_text(json.dumps({**listed, "layout": 9}))
-    with pytest.raises(FormatError, match="layout 9"):
+    with pytest.raises(FormatError, match="layout 9") as caught:
         AvatarBank(tmp_path)
+    assert caught.value.remedy == "update GN0"
     (tmp_path / "bank.json").write_text("{}")
     with pytest.raises(FormatError, match="not a bank"):
         AvatarBank(tmp_path)
+    (tmp_path / "bank.json").unlink()
+    with pytest.raises(StorageError, match="is no bank of people: it has no bank.json") as lost:
+        AvatarBank(tmp_path)
+    assert "gn0 avatar generate" in lost.value.remedy
 
 
 @pytest.mark.parametrize("cut", [0, 30, 2000])

@@ -16,7 +16,7 @@ from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.skinning import SkinWeights
 from gn0.avatars.splat_person import load_splat_person
 from gn0.config import Config
-from gn0.errors import FormatError
+from gn0.errors import FormatError, StorageError
 from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_atomic
 
 BANK_FILE = "bank.json"
@@ -166,6 +166,12 @@ class AvatarBank:
         self.folder = Path(folder)
         check_contained(self.folder)
         path = self.folder / BANK_FILE
+        if not path.is_file():
+            raise StorageError(
+                f"is no bank of people: it has no {BANK_FILE}",
+                where=self.folder,
+                remedy="make one with `gn0 avatar generate --count 20 --out DIR`",
+            )
         try:
             self.list = msgspec.json.decode(read_bytes(path, _LIST_MOST), type=BankList)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -175,7 +181,7 @@ class AvatarBank:
         if self.list.layout != LAYOUT:
             raise FormatError(
                 f"layout {self.list.layout}, this GN0 reads {LAYOUT}", file=path, field="layout",
-                remedy=_REMEDY,
+                remedy="update GN0" if self.list.layout > LAYOUT else _REMEDY,
             )  # fmt: skip
         self._known: dict[str, Avatar] = {}
 
@@ -215,8 +221,9 @@ class AvatarBank:
             avatar = load_avatar(path)
             if digest_avatar(avatar) != entry.digest:
                 raise FormatError(
-                    "this avatar is another than the bank's list says", file=path, remedy=_REMEDY
-                )
+                    "this avatar is another than the bank's list says", file=path,
+                    field=f"digest of {name!r} in {BANK_FILE}", remedy=_REMEDY,
+                )  # fmt: skip
             self._known[name] = avatar
         return self._known[name]
 

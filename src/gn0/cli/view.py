@@ -40,6 +40,7 @@ class Args(Config, frozen=True):
             one whose scene and people you walk among.
         people: put so many people into a scene to walk among.
         people_seed: who they are and where they go.
+        bank: of the people of a suite's episode who have names in one.
         record: walk the episodes of a suite yourself: the folder of the run that is written, scored
             like any policy's. It goes on where an earlier recording there stopped.
         name: what tables and reports call a recorded run.
@@ -65,6 +66,7 @@ class Args(Config, frozen=True):
     episode: str = ""
     people: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0
     people_seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    bank: str = ""
     record: str = ""
     name: str = ""
     limit: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -268,10 +270,12 @@ def _find_walk(folder: Path, args: Args) -> Any:
             remedy=f"did you mean {near[0]!r}?" if near else "choose another suite",
         )
     episode = known[args.episode] if args.episode else suite.episodes[0]
-    Cast().check(episode.people, f"episode {episode.id!r}")
+    bank = args.bank or None
+    Cast(bank).check(episode.people, f"episode {episode.id!r}")
     name = episode.scene_id
     scene = load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
-    return partial(_scene_view, SceneView, scene, args.splats, suite.about.camera, episode)
+    kind = partial(SceneView, bank=bank)
+    return partial(_scene_view, kind, scene, args.splats, suite.about.camera, episode)
 
 
 def _populate(scene: Any, args: Args, preset: Any) -> Any:

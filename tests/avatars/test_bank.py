@@ -78,7 +78,9 @@ def test_a_changed_avatar_is_not_taken_for_the_bank_s(bank: Path, tmp_path: Path
     with pytest.raises(FormatError, match="not a bank"):
         AvatarBank(tmp_path)
     (tmp_path / "bank.json").unlink()
-    with pytest.raises(StorageError, match=r"is no bank of people: it has no bank\.json") as lost:
+    with pytest.raises(
+        StorageError, match=r"is not a bank of people: it has no bank\.json"
+    ) as lost:
         AvatarBank(tmp_path)
     assert "gn0 avatar generate" in lost.value.remedy
 

@@ -168,7 +168,7 @@ class AvatarBank:
         path = self.folder / BANK_FILE
         if not path.is_file():
             raise StorageError(
-                f"is no bank of people: it has no {BANK_FILE}",
+                f"is not a bank of people: it has no {BANK_FILE}",
                 where=self.folder,
                 remedy="make one with `gn0 avatar generate --count 20 --out DIR`",
             )

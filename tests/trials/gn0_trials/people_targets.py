@@ -123,7 +123,7 @@ def avatar_target() -> FuzzTarget:
         save_avatar(path, small_avatar())
         packed = path.read_bytes()
     plain = io.BytesIO()  # not compressed, so that mutants reach the arrays
-    with np.load(io.BytesIO(packed)) as arrays:
+    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
         np.savez(plain, **arrays)
 
     def finish(data: bytes, rng: np.random.Generator) -> bytes:

@@ -97,6 +97,18 @@ def test_a_damaged_avatar_gives_our_error(bank: Path, tmp_path: Path, cut: int) 
         load_avatar(tmp_path / "a.npz")
 
 
+@pytest.mark.parametrize("field", ["points", "scales", "albedo"])
+def test_numbers_that_no_avatar_has_are_named(bank: Path, tmp_path: Path, field: str) -> None:
+    with np.load(bank / "p0000.npz", allow_pickle=False) as found:
+        arrays = dict(found)
+    arrays[field] = arrays[field].astype(np.float64)
+    arrays[field][0, 0] = 1e30
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(FormatError, match="not within") as caught:
+        load_avatar(tmp_path / "a.npz")
+    assert caught.value.field == field and caught.value.remedy
+
+
 def test_the_command_line_makes_shows_and_checks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

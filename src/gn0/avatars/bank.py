@@ -22,6 +22,12 @@ from gn0.storage import check_contained, content_hash, read_bytes, safe_join, wr
 BANK_FILE = "bank.json"
 LAYOUT = 1
 _LIST_MOST = 64 * 2**20
+_RANGES = {
+    "scales": (-255.0, 0.0),
+    "opacities": (0.0, 255.0),
+    "albedo": (0.0, 255.0),
+    "weight": (0.0, 255.0),
+}
 _METRE, _QUAT, _LOG = 1e-4, 32_767.0, 16.0  # steps of stored places, turns and sizes
 _REMEDY = "make the bank again with `gn0 avatar generate`"
 
@@ -103,11 +109,11 @@ def load_avatar(path: Path | str) -> Avatar:
          "joints", "betas", "about"),
         "an avatar of GN0", _REMEDY,
     )  # fmt: skip
-    points = arrays.read_floats("points", (None, 3))
+    points = _bounded(arrays, "points", (None, 3))
     count = len(points)
 
     def floats(name: str, *shape: int | None) -> np.ndarray:
-        return arrays.read_floats(name, (count, *shape))
+        return _bounded(arrays, name, (count, *shape))
 
     quats = floats("quats", 4)
     length = np.linalg.norm(quats, axis=1, keepdims=True)
@@ -141,6 +147,18 @@ def load_avatar(path: Path | str) -> Avatar:
         source=about.source,
         licence=about.licence,
     )
+
+
+def _bounded(arrays: ArrayFile, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Numbers that an avatar's file can hold: no larger than those that are written."""
+    values = arrays.read_floats(name, shape)
+    low, high = _RANGES.get(name, (-32_768.0, 32_767.0))
+    if values.size and not low <= values.min() <= values.max() <= high:
+        raise FormatError(
+            f"a value is not within {low:g} and {high:g}", file=arrays.path, field=name,
+            remedy=_REMEDY,
+        )  # fmt: skip
+    return values
 
 
 def digest_avatar(avatar: Avatar) -> str:

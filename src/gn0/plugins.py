@@ -58,6 +58,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "instance": "gn0.sim.sensor.instance:SENSOR",
         "who": "gn0.sim.sensor.who:SENSOR",
         "people_seen": "gn0.sim.sensor.people_seen:SENSOR",
+        "bev_live": "gn0.sim.sensor.bev_live:SENSOR",
     },
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",

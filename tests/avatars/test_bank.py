@@ -71,11 +71,18 @@ def test_a_changed_avatar_is_not_taken_for_the_bank_s(bank: Path, tmp_path: Path
         AvatarBank(tmp_path).load("p0000")
     listed = json.loads((bank / "bank.json").read_text())
     (tmp_path / "bank.json").write_text(json.dumps({**listed, "layout": 9}))
-    with pytest.raises(FormatError, match="layout 9"):
+    with pytest.raises(FormatError, match="layout 9") as caught:
         AvatarBank(tmp_path)
+    assert caught.value.remedy == "update GN0"
     (tmp_path / "bank.json").write_text("{}")
     with pytest.raises(FormatError, match="not a bank"):
         AvatarBank(tmp_path)
+    (tmp_path / "bank.json").unlink()
+    with pytest.raises(
+        StorageError, match=r"is not a bank of people: it has no bank\.json"
+    ) as lost:
+        AvatarBank(tmp_path)
+    assert "gn0 avatar generate" in lost.value.remedy
 
 
 @pytest.mark.parametrize("cut", [0, 30, 2000])
@@ -88,6 +95,18 @@ def test_a_damaged_avatar_gives_our_error(bank: Path, tmp_path: Path, cut: int) 
     (tmp_path / "a.npz").write_bytes(data)
     with pytest.raises(FormatError):
         load_avatar(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("field", ["points", "scales", "albedo"])
+def test_numbers_that_no_avatar_has_are_named(bank: Path, tmp_path: Path, field: str) -> None:
+    with np.load(bank / "p0000.npz", allow_pickle=False) as found:
+        arrays = dict(found)
+    arrays[field] = arrays[field].astype(np.float64)
+    arrays[field][0, 0] = 1e30
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(FormatError, match="not within") as caught:
+        load_avatar(tmp_path / "a.npz")
+    assert caught.value.field == field and caught.value.remedy
 
 
 def test_the_command_line_makes_shows_and_checks(

@@ -137,14 +137,18 @@ def test_a_small_garment(tmp_path: Path) -> None:
         (HEAD.replace("x_scale 5399 11998 1.4\n", "") + ROWS, MESH, "no length of the body"),
         (HEAD.replace("1.4", "0") + ROWS, MESH, "no length of the body"),
         (HEAD + ROWS + "delete_verts\n5 - 3\n", MESH, "does not list body vertices"),
+        (HEAD.replace("1.4", "inf") + ROWS, MESH, "no length of the body"),
+        (HEAD + "z_depth 1e12\n" + ROWS, MESH, "is not a depth"),
+        (HEAD + ROWS, MESH + "f 1 2 99999999999999999999\n", "too large for a vertex"),
         (HEAD + ROWS, MESH + "f 1 2 9\n", "names a vertex that there is not"),
         (HEAD + ROWS, MESH + "f 1 2\n", "a face of 2 corners"),
         (HEAD + ROWS, MESH.replace("1 0 0", "1 inf 0"), "not finite"),
     ],
 )  # fmt: skip
 def test_bad_garments_say_what_is_wrong(tmp_path: Path, clo: str, mesh: str, said: str) -> None:
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=said) as caught:
         load_mhclo(write(tmp_path, clo, mesh))
+    assert caught.value.file and caught.value.remedy
 
 
 def test_a_garment_reads_nothing_outside_its_folder(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,3 +121,27 @@ def test_the_command_line_brings_a_person(
     assert main(["avatar", "import", str(folder / f"{person.name}.ply"), "--out", str(out)]) == 0
     assert "CC0-1.0" in capsys.readouterr().out
     assert len(load_avatar(out)) == len(person)
+
+
+def test_a_room_and_a_statue_without_legs_are_no_people(person: Avatar, folder: Path) -> None:
+    from gn0.gaussians.ply import save_ply
+    from gn0.gaussians.splat_files import load_cloud
+
+    path = folder / f"{person.name}.ply"
+    cloud, file = load_cloud(path).cloud, ArrayFile(folder / "binding.npz")
+    rows = {n: file.read(n) for n in file.names if file.read(n).shape[:1] == (len(cloud),)}
+    spread = np.random.default_rng(0).uniform((-2.5, 0, -2), (2.5, 2.4, 2), cloud.means.shape)
+    save_ply(replace(cloud, means=spread.astype(np.float32)), path)
+    with pytest.raises(FormatError, match="m deep: rather a room than a person") as caught:
+        load_splat_person(path)
+    assert caught.value.file == str(path) and "cut the person out" in caught.value.remedy
+    for sides, kept in (
+        ("left and right", cloud.means[:, 1] > 0.45),
+        ("left", (cloud.means[:, 1] > 0.45) | (cloud.means[:, 0] < 0)),
+    ):
+        save_ply(cloud.select(kept), path)
+        change(folder, **{name: values[kept] for name, values in rows.items()})
+        with pytest.raises(FormatError, match=f"on its {sides} leg below the knee") as caught:
+            load_splat_person(path)
+        assert caught.value.field == "weights_idx" and "shoes included" in caught.value.remedy
+        change(folder, **rows)

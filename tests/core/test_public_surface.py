@@ -20,7 +20,7 @@ NAMESPACES = ["gn0", *sorted(f"gn0.{stub.parent.name}" for stub in SRC.glob("*/_
 IMPORT = re.compile(r"^\s*(?:from (gn0(?:\.\w+)*) import|import (gn0(?:\.\w+)*)\b(?!\w))", re.M)
 FENCE = re.compile(r"^```python[^\n]*\n(.*?)^```", re.M | re.S)
 # the tools of this checkout, not a user's code
-OURS = {"docs/draw_api.py", "docs/refresh_pictures.py"}
+OURS = {"docs/draw_api.py", "docs/draw_people.py", "docs/refresh_pictures.py"}
 
 USERS_FILE = """
 from pathlib import Path

@@ -11,7 +11,10 @@ from gn0.seeds import random_stream
 from gn0_trials.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
 # clips that take milliseconds each: hundreds with every change, thousands in the slow run
-DEAR = {"fbx": 600, "glb-skin": 1_000}
+DEAR = {
+    "fbx": 600, "glb-skin": 1_000, "episodes-people": 500, "bank": 500, "avatar": 1_000,
+    "people": 1_000, "mhclo": 1_000, "mhclo-mesh": 1_000,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("count", [3_000, pytest.param(10_000, marks=pytest.mark.slow)])

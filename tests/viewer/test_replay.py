@@ -101,7 +101,7 @@ def test_an_episode_is_found_by_its_id_or_the_nearest_is_named(runs):
     assert view.find_view(args).keywords["first"] == wanted.id
     with pytest.raises(BenchError, match="not recorded"):
         view.find_view(view.Args(paths=(str(runs[0]),), episode="gone"))
-    with pytest.raises(ConfigError, match="only a run has episodes to show"):
+    with pytest.raises(ConfigError, match="only a run or a suite has episodes"):
         view.find_view(view.Args(paths=(str(runs[0].parent / "flat"),), episode=wanted.id))
 
 

@@ -16,12 +16,18 @@ from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.skinning import SkinWeights
 from gn0.avatars.splat_person import load_splat_person
 from gn0.config import Config
-from gn0.errors import FormatError
+from gn0.errors import FormatError, StorageError
 from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_atomic
 
 BANK_FILE = "bank.json"
 LAYOUT = 1
 _LIST_MOST = 64 * 2**20
+_RANGES = {
+    "scales": (-255.0, 0.0),
+    "opacities": (0.0, 255.0),
+    "albedo": (0.0, 255.0),
+    "weight": (0.0, 255.0),
+}
 _METRE, _QUAT, _LOG = 1e-4, 32_767.0, 16.0  # steps of stored places, turns and sizes
 _REMEDY = "make the bank again with `gn0 avatar generate`"
 
@@ -103,11 +109,11 @@ def load_avatar(path: Path | str) -> Avatar:
          "joints", "betas", "about"),
         "an avatar of GN0", _REMEDY,
     )  # fmt: skip
-    points = arrays.read_floats("points", (None, 3))
+    points = _bounded(arrays, "points", (None, 3))
     count = len(points)
 
     def floats(name: str, *shape: int | None) -> np.ndarray:
-        return arrays.read_floats(name, (count, *shape))
+        return _bounded(arrays, name, (count, *shape))
 
     quats = floats("quats", 4)
     length = np.linalg.norm(quats, axis=1, keepdims=True)
@@ -143,6 +149,18 @@ def load_avatar(path: Path | str) -> Avatar:
     )
 
 
+def _bounded(arrays: ArrayFile, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Numbers that an avatar's file can hold: no larger than those that are written."""
+    values = arrays.read_floats(name, shape)
+    low, high = _RANGES.get(name, (-32_768.0, 32_767.0))
+    if values.size and not low <= values.min() <= values.max() <= high:
+        raise FormatError(
+            f"a value is not within {low:g} and {high:g}", file=arrays.path, field=name,
+            remedy=_REMEDY,
+        )  # fmt: skip
+    return values
+
+
 def digest_avatar(avatar: Avatar) -> str:
     """Digest of all of an avatar that a picture or a move depends on."""
     return content_hash(
@@ -166,6 +184,12 @@ class AvatarBank:
         self.folder = Path(folder)
         check_contained(self.folder)
         path = self.folder / BANK_FILE
+        if not path.is_file():
+            raise StorageError(
+                f"is not a bank of people: it has no {BANK_FILE}",
+                where=self.folder,
+                remedy="make one with `gn0 avatar generate --count 20 --out DIR`",
+            )
         try:
             self.list = msgspec.json.decode(read_bytes(path, _LIST_MOST), type=BankList)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -175,7 +199,7 @@ class AvatarBank:
         if self.list.layout != LAYOUT:
             raise FormatError(
                 f"layout {self.list.layout}, this GN0 reads {LAYOUT}", file=path, field="layout",
-                remedy=_REMEDY,
+                remedy="update GN0" if self.list.layout > LAYOUT else _REMEDY,
             )  # fmt: skip
         self._known: dict[str, Avatar] = {}
 
@@ -215,8 +239,9 @@ class AvatarBank:
             avatar = load_avatar(path)
             if digest_avatar(avatar) != entry.digest:
                 raise FormatError(
-                    "this avatar is another than the bank's list says", file=path, remedy=_REMEDY
-                )
+                    "this avatar is another than the bank's list says", file=path,
+                    field=f"digest of {name!r} in {BANK_FILE}", remedy=_REMEDY,
+                )  # fmt: skip
             self._known[name] = avatar
         return self._known[name]
 

@@ -19,7 +19,7 @@ from gn0.avatars.body import SHAPE_SPACES, BodyModel
 from gn0.avatars.body_file import load_body
 from gn0.avatars.layer import PARTS
 from gn0.avatars.npz_arrays import ArrayFile, write_arrays
-from gn0.avatars.skeleton import JOINT_COUNT
+from gn0.avatars.skeleton import INDEX, JOINT_COUNT
 from gn0.avatars.skinning import SkinWeights, pack_weights, pose_joints, unskin_points
 from gn0.avatars.surfels import blended_turns
 from gn0.errors import DataError, FormatError
@@ -35,6 +35,9 @@ from gn0.storage import write_atomic
 BINDING_FILE = "binding.npz"
 _REMEDY = "fit a body to it and write weights_idx, weights and joints (or betas) to binding.npz"
 _TALL = (0.5, 2.6)  # what a person may measure in T-pose [m]
+_WIDE, _DEEP = 3.0, 1.5  # and from hand to hand and front to back, at most [m]
+_STRAY = 0.005  # share of splats that may lie beyond on either side
+_SHIN = 0.15  # m below a knee from where a leg has splats of its own
 
 
 def save_splat_person(folder: Path | str, avatar: Avatar) -> Path:
@@ -83,7 +86,7 @@ def load_splat_person(
     Raises:
         StorageError: a file cannot be read.
         FormatError: the binding is missing, of another number of splats, or of no known body; the
-            splats are those of a room.
+            splats are those of a room, or of somebody without legs.
     """
     file = Path(path)
     found = load_cloud(file)
@@ -106,7 +109,9 @@ def load_splat_person(
     if count and (
         index.min() < 0 or index.max() >= JOINT_COUNT or (index != np.floor(index)).any()
     ):
-        raise FormatError(f"a joint is not one of {JOINT_COUNT}", file=side, field="weights_idx")
+        raise FormatError(
+            f"a joint is not one of {JOINT_COUNT}", file=side, field="weights_idx", remedy=_REMEDY
+        )
     cloud = _aligned(found.cloud, arrays, side)
     height = float(np.ptp(cloud.means[:, 1])) if count else 0.0
     if not _TALL[0] <= height <= _TALL[1]:
@@ -123,7 +128,9 @@ def load_splat_person(
     try:
         weights = pack_weights(dense, 4)
     except DataError as error:
-        raise FormatError(f"{error.what}: {error.where}", file=side, field="weights") from None
+        raise FormatError(
+            f"{error.what}: {error.where}", file=side, field="weights", remedy=_REMEDY
+        ) from None
     points, quats = cloud.means.astype(np.float64), cloud.quats.astype(np.float64)
     if "canonical_pose" in arrays:
         pose = arrays.read_floats("canonical_pose", (JOINT_COUNT, 3))
@@ -132,6 +139,7 @@ def load_splat_person(
             points = unskin_points(points, weights, transforms)
             back = blended_turns(weights, transforms).transpose(0, 2, 1)
             quats = quaternion_from_rotation(back @ rotation_from_quaternion(quats))
+    _check_person(points, dense, joints, file)
     rest = replace(
         cloud, means=points.astype(np.float32), quats=quats.astype(np.float32), normal=None
     )
@@ -144,7 +152,12 @@ def load_splat_person(
         else np.full(count, PARTS.index("person"), np.int32)
     )  # fmt: skip
     if count and not 0 <= part.min() <= part.max() < len(PARTS):
-        raise FormatError("a part is not known", file=side, field="part")
+        raise FormatError(
+            "a part is not known",
+            file=side,
+            field="part",
+            remedy=f"0 to {len(PARTS) - 1}, or leave it out",
+        )
     return Avatar(
         name=file.stem,
         points=points.astype(np.float32),
@@ -163,6 +176,37 @@ def load_splat_person(
     )
 
 
+def _check_person(points: F64, dense: F64, joints: F64, file: Path) -> None:
+    """Refuse splats [N, 3] m in T-pose, carried by `dense` [N, 55], that are no whole person.
+
+    Raises:
+        FormatError: they are as wide or deep as a room, or a leg is missing.
+    """
+    low, high = np.quantile(points, [_STRAY, 1 - _STRAY], axis=0)
+    wide, tall, deep = (high - low).tolist()
+    if wide > _WIDE or deep > _DEEP:
+        raise FormatError(
+            f"it is {wide:.2f} m wide, {tall:.2f} m tall and {deep:.2f} m deep: rather a room than "
+            "a person in T-pose",
+            file=file,
+            remedy="cut the person out of the room, arms to the sides along x, y up, facing z",
+        )
+    share = dense / np.maximum(dense.sum(axis=1, keepdims=True), 1e-12)
+    missing = []
+    for side in ("left", "right"):
+        knee, *below = (INDEX[f"{side}_{joint}"] for joint in ("knee", "ankle", "foot"))
+        carried = share[:, [knee, *below]].sum(axis=1) > 0.5
+        if not (carried & (points[:, 1] < joints[knee, 1] - _SHIN)).any():
+            missing.append(side)
+    if missing:
+        raise FormatError(
+            f"no splat hangs on its {' and '.join(missing)} leg below the knee",
+            file=file,
+            field="weights_idx",
+            remedy="capture the whole person, shoes included: a statue without legs cannot walk",
+        )
+
+
 def _aligned(cloud: GaussianCloud, arrays: ArrayFile, side: Path) -> GaussianCloud:
     """The splats in the body's frame: x' = scale · R x + t."""
     matrix = arrays.read_floats("T_align", (4, 4)) if "T_align" in arrays else np.eye(4)
@@ -170,15 +214,19 @@ def _aligned(cloud: GaussianCloud, arrays: ArrayFile, side: Path) -> GaussianClo
     turn = matrix[:3, :3]
     if not (np.isfinite(scale) and scale > 0) or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-4:
         raise FormatError(
-            "not a rotation, a shift and a positive scale", file=side, field="T_align, scale"
-        )
+            "not a rotation, a shift and a positive scale", file=side, field="T_align, scale",
+            remedy="T_align is rigid, [4, 4]; the size goes into scale",
+        )  # fmt: skip
     u, _, v = np.linalg.svd(turn)
     return transform_cloud(cloud, rotation=u @ v, scale=scale, shift=matrix[:3, 3])
 
 
 def _joints(arrays: ArrayFile, side: Path, betas: F64, space: str, body: BodyModel | None) -> F64:
     if space not in SHAPE_SPACES:
-        raise FormatError(f"no body has shapes of {space!r}", file=side, field="shape_space")
+        raise FormatError(
+            f"no body has shapes of {space!r}", file=side, field="shape_space",
+            remedy=f"one of {', '.join(SHAPE_SPACES)}",
+        )  # fmt: skip
     if "joints" in arrays:
         return arrays.read_floats("joints", (JOINT_COUNT, 3))
     if body is None and space != "gn0":
@@ -207,5 +255,7 @@ def _word(arrays: ArrayFile, name: str, default: str) -> str:
         return default
     found = arrays.read(name, 65_536)
     if found.dtype.kind not in "US" or found.size != 1:
-        raise FormatError("this is not a word", file=arrays.path, field=name)
+        raise FormatError(
+            "this is not a word", file=arrays.path, field=name, remedy="write one text"
+        )
     return str(found.reshape(-1)[0])

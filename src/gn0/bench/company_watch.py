@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.follow_recorder import FollowRecorder, Place
 from gn0.errors import EpisodeError
-from gn0.geometry import wrap_angle
+from gn0.geometry import F64, wrap_angle
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import (
@@ -45,7 +46,7 @@ class CompanyWatch:
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
         self.touches: list[tuple[int, int]] = []
-        self._digest = hashlib.blake2b(digest_size=16)
+        self._digest = _new_digest()
         self._actions = 0
 
     def __call__(self, observation: Observation, result: StepResult | None) -> bool:
@@ -63,6 +64,18 @@ class CompanyWatch:
     def digest(self) -> str:
         """Of everybody's places after reset and after each action, to the bit."""
         return self._digest.hexdigest()
+
+
+def digest_places(moments: Iterable[F64]) -> str:
+    """Digest of everybody's places [P, 2] m at some moments, as `CompanyWatch` makes it."""
+    digest = _new_digest()
+    for places in moments:
+        digest.update(np.ascontiguousarray(places).tobytes())
+    return digest.hexdigest()
+
+
+def _new_digest() -> hashlib.blake2b:
+    return hashlib.blake2b(digest_size=16)
 
 
 class FollowReferee:

@@ -19,11 +19,13 @@ from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import RenderError
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.missions.episode import Episode
+from gn0.people.person import RADIUS
 from gn0.render.bev import BevPicture
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts
 from gn0.render.renderer import SceneRenderer
 from gn0.render.video import VP9, encode_video
+from gn0.sim.live_bev import draw_people
 from gn0.sim.presets import CameraPreset
 
 VIEW_HEIGHT = 252  # px of the view and of the map beside it
@@ -229,7 +231,7 @@ class _MapPainter:
             width = 420
         small = picture.resize((width, max(1, round(picture.height * scale))), Image.Resampling.BOX)
         self._canvas = Image.new("RGB", (width, VIEW_HEIGHT), PAPER)
-        self._top = (VIEW_HEIGHT - small.height) // 2
+        self._top, self._high = (VIEW_HEIGHT - small.height) // 2, small.height
         self._canvas.paste(small, (0, self._top))
         self._scale = np.array([width / picture.width, small.height / picture.height])
         self._bev, self._spots = bev, self._place(bev, positions)
@@ -251,9 +253,8 @@ class _MapPainter:
         if index > 0:
             draw.line([tuple(p) for p in self._spots[: index + 1]], fill=TRAIL, width=2)
         if people is not None:
-            for k, (x, y) in enumerate(self._place(self._bev, people.places)):
-                fill = GOOD if k == people.target else MUTED
-                draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=PAPER, fill=fill)
+            picture = self._show_people(picture, people)
+            draw = ImageDraw.Draw(picture)
         x, y = self._spots[index]
         turn = yaw + np.array([0.0, 2.5, -2.5])
         corners = [
@@ -261,6 +262,14 @@ class _MapPainter:
         ]
         draw.polygon(corners, fill=TRAIL, outline=PAPER)
         return np.asarray(picture)
+
+    def _show_people(self, picture: Image.Image, people: PeopleThen) -> Image.Image:
+        """The map with people as the sensor `bev_live` draws them, at the size of a clip."""
+        drawn, scale = np.array(picture), self._bev.metres_per_pixel / self._scale[0]
+        (x0, y0), below = self._bev.origin, VIEW_HEIGHT - self._top - self._high
+        corner = x0, y0 - below * scale
+        draw_people(drawn, corner, scale, people.places, people.faces, RADIUS, people.target)
+        return Image.fromarray(drawn)
 
 
 def _compose(

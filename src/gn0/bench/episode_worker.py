@@ -264,22 +264,30 @@ class EpisodeWorker:
             self._sight = self._hash, sight_grid(simulator.scene, eye)
         return self._sight[1]
 
+    def referee(self, simulator: Simulator, episode: Episode) -> FollowReferee:
+        """Who notes an episode of following, and ends it by the rules of the suite's profile.
+
+        Raises:
+            EpisodeError: the mission does not say whom to follow.
+        """
+        rules = follow_rules(self.settings.profile)
+        most = min(rules.max_steps, self.settings.max_steps)
+        rules = msgspec.structs.replace(rules, max_steps=most)
+        return FollowReferee(simulator, episode, rules, self._find_sight(simulator))
+
     def _run_following(
         self, simulator: Simulator, episode: Episode
     ) -> tuple[EpisodeResult, EpisodeTrace]:
         """Run an episode of following until its rules end it, and score it."""
-        rules = follow_rules(self.settings.profile)
-        most = min(rules.max_steps, self.settings.max_steps)
-        rules = msgspec.structs.replace(rules, max_steps=most)
         try:
-            referee = FollowReferee(simulator, episode, rules, self._find_sight(simulator))
+            referee = self.referee(simulator, episode)
             trajectory = run_episode(
                 simulator, self.policy, episode, dark=self._dark, watch=referee
             )
         except EpisodeError as error:
             return _invalid(episode, error), EpisodeTrace(episode=episode.id)
         trajectory = dataclasses.replace(trajectory, stopped=referee.end == "stop")
-        return score_following(trajectory, referee.record(), episode, rules)
+        return score_following(trajectory, referee.record(), episode, referee.rules)
 
     def _run_release(
         self,

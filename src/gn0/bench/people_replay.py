@@ -12,6 +12,9 @@ from gn0.geometry import F64, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.missions.follow_rules import follow_rules
+from gn0.people.crowd import CrowdState
+from gn0.people.person import EpisodePerson
+from gn0.people.reach import HX, HY, X, Y
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
 from gn0.render.renderer import DrawnScene
@@ -29,12 +32,37 @@ class PeopleThen:
     Attributes:
         parts: their instances, of clouds that the renderer knows until the next are asked for.
         places: [P, 2] where they are [m].
+        faces: unit vectors of their headings [P, 2].
         target: which of them is followed; −1 nobody.
     """
 
     parts: tuple[Instance, ...]
     places: F64
+    faces: F64
     target: int
+
+
+@dataclass(frozen=True, eq=False)
+class PeopleStill:
+    """People as they were at one recorded pose, to be looked at from anywhere.
+
+    Attributes:
+        people: who they are.
+        state: what they did then.
+    """
+
+    people: tuple[EpisodePerson, ...]
+    state: CrowdState
+
+    @property
+    def places(self) -> F64:
+        """Where they were [P, 2] m."""
+        return self.state.real[0, :, X : Y + 1]
+
+    @property
+    def faces(self) -> F64:
+        """Unit vectors of their headings [P, 2]."""
+        return self.state.real[0, :, HX : HY + 1]
 
 
 class PeopleReplay:
@@ -55,7 +83,7 @@ class PeopleReplay:
         profile: str = "default",
     ) -> None:
         self._scene, self._profile = scene, profile
-        self._eyes = PeopleEyes(scene, renderer, light=light)
+        self.eyes = PeopleEyes(scene, renderer, light=light)
 
     def play(
         self, episode: Episode, trace: EpisodeTrace, indices: Sequence[int], focal: float
@@ -77,8 +105,22 @@ class PeopleReplay:
         for index, company in enumerate(self._walk(episode, trace)):
             if index in wanted:
                 pose = Pose2D(*trace.poses[index])
-                parts = self._eyes.show(company, pose, focal)[0]
-                yield PeopleThen(parts, np.array(company.places), target)
+                parts = self.eyes.show(company, pose, focal)[0]
+                yield PeopleThen(parts, np.array(company.places), np.array(company.faces), target)
+
+    def stills(self, episode: Episode, trace: EpisodeTrace) -> tuple[PeopleStill, ...]:
+        """People at each recorded pose of an episode.
+
+        Raises:
+            EpisodeError: one walks through a wall.
+            SimError: an action that cannot be taken.
+        """
+        found = []
+        for company in self._walk(episode, trace):
+            state = company.save()
+            assert state is not None, "the episode has people"
+            found.append(PeopleStill(episode.people, state))
+        return tuple(found)
 
     def _walk(self, episode: Episode, trace: EpisodeTrace) -> Iterator[Company]:
         agent = episode.agent

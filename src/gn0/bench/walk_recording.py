@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from gn0.bench.company_watch import FollowReferee
 from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.replay import PolicyReplay
@@ -23,7 +24,7 @@ from gn0.bench.runner import choose_episodes
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError
 from gn0.locked_folder import check_room, lock_folder
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.progress import Progress, no_progress
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action
@@ -91,6 +92,16 @@ class WalkRecorder:
             BenchError, Gn0Error: the scene is gone or changed, or cannot be drawn.
         """
         return self._open(self._eyes, episode)
+
+    def referee(self, simulator: Simulator, episode: Episode) -> FollowReferee | None:
+        """Who ends an episode of following by its rules; None where STOP and the steps do.
+
+        Raises:
+            EpisodeError: the mission does not say whom to follow.
+        """
+        if not isinstance(episode.mission, MissionFollow):
+            return None
+        return self._eyes.referee(simulator, episode)
 
     def _open(self, worker: EpisodeWorker, episode: Episode) -> Simulator:
         scene = episode.scene_id

@@ -24,6 +24,8 @@ EXAMPLES = """  gn0 view out/flat
   gn0 view out/demo/runs/oracle out/demo/runs/random
   gn0 view out/demo/runs/oracle --episode apartment_0003
   gn0 view out/demo/apartment --results out/demo/runs/oracle
+  gn0 view out/crowd --episode flat_0001
+  gn0 view out/flat --people 4
   gn0 view out/suite --record out/by_hand --name Ada
   gn0 view capture.ply --up=-y"""
 
@@ -34,7 +36,11 @@ class Args(Config, frozen=True):
     Attributes:
         paths: a scene folder, a splat file, a suite, or run folders as `gn0 bench run` writes them.
         results: run folders whose episodes are replayed in that scene.
-        episode: id of the episode to begin with, as results and reports say it.
+        episode: id of the episode to begin with, as results and reports say it; of a suite, the
+            one whose scene and people you walk among.
+        people: put so many people into a scene to walk among.
+        people_seed: who they are and where they go.
+        bank: of the people of a suite's episode who have names in one.
         record: walk the episodes of a suite yourself: the folder of the run that is written, scored
             like any policy's. It goes on where an earlier recording there stopped.
         name: what tables and reports call a recorded run.
@@ -58,6 +64,9 @@ class Args(Config, frozen=True):
     ]
     results: tuple[str, ...] = ()
     episode: str = ""
+    people: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0
+    people_seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    bank: str = ""
     record: str = ""
     name: str = ""
     limit: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -171,6 +180,10 @@ def find_view(args: Args) -> Any:
         if not path.exists():
             raise StorageError("no such file or folder", where=path, remedy="check the path")
     first = paths[0]
+    if args.people and not (first / "scene.json").is_file():
+        raise ConfigError(
+            "people are put into a scene", where="--people", remedy="gn0 view SCENE --people 3"
+        )
     if args.results or (first / "summary.json").is_file():
         from gn0.viewer.recorded_runs import load_replay
         from gn0.viewer.replay_live import ReplayView
@@ -180,9 +193,13 @@ def find_view(args: Args) -> Any:
         if args.episode:
             replay.find(args.episode)
         return partial(ReplayView, replay=replay, splats=args.splats, first=args.episode)
+    if first.is_dir() and (first / "suite.json").is_file() and len(paths) == 1:
+        return _find_walk(first, args)
     if args.episode:
         raise ConfigError(
-            "only a run has episodes to show", where="--episode", remedy="gn0 view RUN --episode ID"
+            "only a run or a suite has episodes to show",
+            where="--episode",
+            remedy="gn0 view RUN --episode ID",
         )
     if len(paths) > 1:
         raise ConfigError(
@@ -195,14 +212,8 @@ def find_view(args: Args) -> Any:
 
         preset = find_preset(args.camera)
         scene = load_scene(first)
-        return partial(_scene_view, SceneView, scene, args.splats, preset)
-    if first.is_dir() and (first / "suite.json").is_file():
-        raise ConfigError(
-            "is a suite, not a scene",
-            where=first,
-            remedy="gn0 view one of its scenes/ folders or a run of the suite, or walk its "
-            "episodes yourself with --record OUT",
-        )
+        episode = _populate(scene, args, preset) if args.people else None
+        return partial(_scene_view, SceneView, scene, args.splats, preset, episode)
     from gn0.gaussians.splat_files import load_cloud
     from gn0.viewer.live_file import FileView
 
@@ -227,9 +238,77 @@ def find_up(cloud: Any) -> str:
 
 
 def _scene_view(
-    kind: Any, scene: Any, splats: int, preset: Any, live: LiveServer, loop: LiveLoop
+    kind: Any,
+    scene: Any,
+    splats: int,
+    preset: Any,
+    episode: Any,
+    live: LiveServer,
+    loop: LiveLoop,
 ) -> Any:
-    return kind(live, scene, loop, splats=splats, preset=preset)
+    body = None if episode is None else episode.agent
+    return kind(live, scene, loop, splats=splats, preset=preset, episode=episode, body=body)
+
+
+def _find_walk(folder: Path, args: Args) -> Any:
+    """The scene of a suite's episode, with its people, to walk in without a score."""
+    import difflib
+    from functools import partial
+
+    from gn0.errors import ConfigError
+    from gn0.people.cast import Cast
+    from gn0.suites.suite import load_suite, load_suite_scene
+    from gn0.viewer.live import SceneView
+
+    suite = load_suite(folder)
+    known = {episode.id: episode for episode in suite.episodes}
+    if args.episode and args.episode not in known:
+        near = difflib.get_close_matches(args.episode, known, 1) or list(known)[:1]
+        raise ConfigError(
+            f"the suite has no episode {args.episode[:80]!r}",
+            where="--episode",
+            remedy=f"did you mean {near[0]!r}?" if near else "choose another suite",
+        )
+    episode = known[args.episode] if args.episode else suite.episodes[0]
+    bank = args.bank or None
+    Cast(bank).check(episode.people, f"episode {episode.id!r}")
+    name = episode.scene_id
+    scene = load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
+    kind = partial(SceneView, bank=bank)
+    return partial(_scene_view, kind, scene, args.splats, suite.about.camera, episode)
+
+
+def _populate(scene: Any, args: Args, preset: Any) -> Any:
+    """An episode without a task, with people in it, that begins where one sees most.
+
+    Raises:
+        ConfigError: the scene has no room for anybody.
+    """
+    import msgspec
+
+    from gn0.errors import ConfigError
+    from gn0.missions.episode import Episode, MissionGoal
+    from gn0.people.plan import plan_people
+    from gn0.people.settings import PeopleSettings
+    from gn0.viewer.viewpoints import choose_viewpoints
+
+    poses = choose_viewpoints(scene, 1, max(0.25, preset.agent.radius + 0.05))
+    if not poses:
+        raise ConfigError(
+            "nobody finds room in this scene", where="--people", remedy="gn0 scene check SCENE"
+        )
+    x, y, yaw = poses[0]
+    episode = Episode(
+        id="walk",
+        scene_id=scene.id,
+        mission=MissionGoal(goal=(x, y), object_id="", category="", instruction="Look around."),
+        start=(x, y, yaw),
+        path=((x, y), (x, y)),
+        agent=preset.agent,
+    )
+    settings = PeopleSettings(count=args.people, seed=args.people_seed)
+    people = plan_people(scene, episode, settings, radius=preset.agent.radius)
+    return msgspec.structs.replace(episode, people=people)
 
 
 def _file_view(

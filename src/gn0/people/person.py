@@ -93,12 +93,20 @@ class EpisodePerson(
     def __post_init__(self) -> None:
         where = f"person {brief(self.number)}"
         if not (isinstance(self.number, int) and 1 <= self.number <= PEOPLE_MOST):
-            raise _fault(where, "number", f"is {brief(self.number)}", f"1 to {PEOPLE_MOST}")
+            give = f"1 to {PEOPLE_MOST}: an episode has no more people"
+            raise _fault(where, "number", f"is {brief(self.number)}", give)
         if not self.identity or len(self.identity) > 120:
             raise _fault(where, "identity", "names nobody", "a person of a bank, or drawn:0:7")
         if self.identity.startswith("drawn:") and drawn_identity(self.identity) is None:
             give = "drawn:SEED:NUMBER, or drawn:SEED:NUMBER:KEY:CHANGE"
             raise _fault(where, "identity", f"is {brief(self.identity)}", give)
+        change = drawn_change(self.identity)
+        if change is not None:
+            from gn0.avatars.likeness import CHANGES  # few people are of that kind
+
+            if change[0] not in CHANGES:
+                give = f"drawn:SEED:NUMBER:KEY:CHANGE with a key of {', '.join(CHANGES)}"
+                raise _fault(where, "identity", f"is {brief(self.identity)}", give)
         if self.clips != "default":
             raise _fault(where, "clips", f"has no set {brief(self.clips)}", "default")
         if self.behaviour not in get_args(Behaviour):
@@ -144,7 +152,8 @@ class EpisodePerson(
         for row, stop in enumerate(self.stops, 1):
             field = f"stop {row}"
             if not (0 < stop.seconds <= _LONGEST_STOP and math.isfinite(stop.look)):
-                raise _fault(where, field, f"lasts {brief(stop.seconds)} s", "time runs forwards")
+                give = f"more than 0 and at most {_LONGEST_STOP:g} s: time runs forwards"
+                raise _fault(where, field, f"lasts {brief(stop.seconds)} s", give)
             if not before <= stop.at <= length:
                 raise _fault(
                     where, field, f"is at {brief(stop.at)} m, after {before:g} m",
@@ -196,7 +205,7 @@ def check_people(people: Sequence[EpisodePerson]) -> None:
             if (x - u) * (x - u) + (y - v) * (y - v) < (2 * RADIUS) * (2 * RADIUS):
                 raise _fault(
                     where, "path", f"begins inside person {other.number}",
-                    f"begin at least {2 * RADIUS} m apart",
+                    f"places at least {2 * RADIUS} m apart",
                 )  # fmt: skip
 
 

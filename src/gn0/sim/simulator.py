@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.people.crowd import CrowdState
     from gn0.render.bev import BevPicture
+    from gn0.render.instance import Instance
     from gn0.render.light import LightCondition
     from gn0.render.renderer import DrawnScene
     from gn0.sim.motion import Motion
@@ -536,6 +537,25 @@ class Simulator:
             self._last_who = last = (pose, moment.key, self._who(pose, moment))
         picture, table = last[2]
         return picture.copy(), table.copy()
+
+    def show_people(self, pose: Pose2D, focal: float) -> tuple[Instance, ...]:
+        """What moves, people among it, as an eye at a pose sees it now: `parts` for a renderer.
+
+        Privileged. Nobody where nothing is drawn for the agent. The renderer knows their clouds
+        until others are asked for.
+
+        Args:
+            pose: of the eye.
+            focal: of its picture [px], which decides levels of detail.
+
+        Raises:
+            SimError: before the first reset.
+        """
+        _ = self.episode
+        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        if not self._company or self._people is None:
+            return moment.parts
+        return (*moment.parts, *self._people.show(self._company, pose, focal)[0])
 
     def _who(self, pose: Pose2D, moment: Moment) -> tuple[U8, F32]:
         from gn0.sim.people_eyes import read_who

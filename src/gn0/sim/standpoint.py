@@ -12,7 +12,9 @@ from gn0.errors import SimError
 from gn0.geometry import F32, U8, Pose2D
 from gn0.missions.episode import Episode
 from gn0.seeds import random_stream
+from gn0.sim.ego_map import draw_arrow
 from gn0.sim.history import build_mosaic
+from gn0.sim.live_bev import draw_people
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -89,6 +91,22 @@ class Standpoint:
     def bev(self) -> U8:
         """The scene from above, or what the agent has seen of it."""
         return self._suite.bev_picture if self.mapper is None else self.mapper.bev
+
+    def bev_live(self) -> U8:
+        """The same with people where they are now, and the agent as an arrow; read-only."""
+        picture, frame = np.array(self.bev(), np.uint8), self._suite.map_frame
+        corner, scale = (frame.x_min, frame.y_min), frame.metres_per_pixel
+        if self.company:
+            followed = self.episode.followed
+            draw_people(
+                picture, corner, scale, self.company.places, self.company.faces,
+                self.company.radius,
+                -1 if followed is None else self.company.people.index(followed),
+            )  # fmt: skip
+        place = self.pose.x, self.pose.y, self.pose.yaw
+        draw_arrow(picture, corner, scale, place, self._suite.config.disc_radius)
+        picture.setflags(write=False)
+        return picture
 
     def occupancy(self) -> U8:
         """The map with start and agent, or what the agent knows of it."""

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from gn0.errors import EpisodeError
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
@@ -16,6 +19,7 @@ from gn0.sim.state import Action
 from gn0.viewer.live_eyes import LiveEyes
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_map import AGENT, PICTURES, LiveMap, MapAgent, PictureKind, bev_map, plan_map
+from gn0.viewer.live_people import LivePeople
 from gn0.viewer.live_server import LiveServer
 from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.live_stage import (
@@ -36,6 +40,7 @@ CEILING_CUT = 2.3  # what lies higher hides rooms from above [m]
 CAMERAS = ("free", "the agent's eyes", "behind the agent")
 DETAILS = (30_000, 100_000, 300_000, 1_000_000)
 KEY_ACTIONS = {"forward": Action.FORWARD, "left": Action.LEFT, "right": Action.RIGHT}
+WAIT = "wait"  # what the agent does while only people move
 BEV_PIXELS = 2048
 FLOOR = 0.15  # what is hit by a click lower than this is floor [m]
 HEAD_START, ALONE = 0.6, 5.0  # how long the agent waits for a visitor's page, for a visitor [s]
@@ -43,6 +48,9 @@ PANEL = 400  # width of the panel [px]
 KEYS = (
     "**I** forward · **J** left · **L** right · **V** next picture · **C** next camera · "
     "**W A S D Q E** and arrows fly · click the floor to put the agent there"
+)
+PEOPLE_KEYS = (
+    "\n\nPeople move while the agent acts: **K** waits for one action, **P** lets time run."
 )
 
 
@@ -62,6 +70,10 @@ class SceneView:
         loop: the thread that does the work.
         splats: how many splats the browser gets.
         preset: eyes and body by name, or a preset.
+        episode: whose people are there and where the agent begins; nobody, and some free place,
+            when None.
+        body: the agent's, instead of the preset's.
+        bank: of people who have names in one.
     """
 
     def __init__(
@@ -72,12 +84,23 @@ class SceneView:
         *,
         splats: int,
         preset: str | CameraPreset = "gn_bench",
+        episode: Episode | None = None,
+        body: AgentSpec | None = None,
+        bank: Path | str | None = None,
     ) -> None:
         self.scene, self.loop, self.count = scene, loop, splats
         self.preset = find_preset(preset) if isinstance(preset, str) else preset
+        self.agent = body or self.preset.agent
+        self.episode, self._bank = episode, bank
+        people = () if episode is None else episode.people
+        self.people = people
+        followed = None if episode is None else episode.followed
+        self.followed = 0 if followed is None else followed.number
+        self._figures = LivePeople(live.viser, "/people")
+        self._runs, self._due = False, 0.0  # whether time runs, and when the next action is due
         self.server = live.viser
         self.stage = LiveStage(live.viser)
-        self.eyes = LiveEyes(live.viser, self.stage, self.preset, self.preset.agent.camera_height)
+        self.eyes = LiveEyes(live.viser, self.stage, self.preset, self.agent.camera_height)
         self.cut = ceiling_cut(scene)
         self.walk: AgentWalk | None = None
         self.kind: PictureKind = "RGB"
@@ -127,12 +150,12 @@ class SceneView:
             self._wake_agent()
 
     def tick(self, now: float) -> float | None:
-        """Wake the agent once the first visitor has had time to fetch the splats.
+        """Wake the agent once the first visitor has had time to fetch the splats; let time run.
 
         Compiling kernels for the first time takes long and would keep the page waiting.
         """
         if self._woken:
-            return None
+            return self._go_on(now)
         seen = bool(self.server.get_clients())
         self._since = self._since if self._since and seen == self._seen else now
         self._seen = seen
@@ -141,6 +164,15 @@ class SceneView:
             self.finish()
             return None
         return min(rest, 0.1)
+
+    def _go_on(self, now: float) -> float | None:
+        """Wait for one action when one is due and time runs: no faster than people would."""
+        if not self._runs or not self.ready:
+            return None
+        if now >= self._due:
+            self._due = now + self.agent.step_seconds
+            self._move(WAIT)
+        return max(self._due - now, 0.0)
 
     def _build_panel(self) -> None:
         gui: Any = self.server.gui
@@ -154,8 +186,11 @@ class SceneView:
         self._picture = gui.add_image(wait, format="jpeg", jpeg_quality=88)
         kinds = gui.add_button_group("Picture", PICTURES)
         hear(self.loop, kinds.on_click, self._show_kind)
-        moves = gui.add_button_group("Move", ("left", "forward", "right"))
+        words = ("left", "forward", "right")
+        moves = gui.add_button_group("Move", (*words, WAIT) if self.people else words)
         hear(self.loop, moves.on_click, self._move)
+        if self.people:
+            self._clock = self._layer("Time runs", False, self._let_run)
         self._status = gui.add_markdown("*The agent is being prepared…*")
         self._plan_image = gui.add_image(self.plan.rgb, format="png")
         self._cameras = gui.add_dropdown("Camera", CAMERAS, initial_value=self.camera)
@@ -182,6 +217,11 @@ class SceneView:
             ("Agent: forward", "I", partial(self._move, "forward")),
             ("Agent: left", "J", partial(self._move, "left")),
             ("Agent: right", "L", partial(self._move, "right")),
+            *(
+                (("Agent: wait", "K", partial(self._move, WAIT)), ("Time runs", "P", self._toggle))
+                if self.people
+                else ()
+            ),
             ("Next picture", "V", self._next_kind),
             ("Next camera", "C", self._next_camera),
         ):
@@ -208,7 +248,14 @@ class SceneView:
             )
         else:
             share = f"This page shows all {total:,} splats."
-        return f"{share}\n\n{KEYS}"
+        return f"{share}\n\n{KEYS}{PEOPLE_KEYS if self.people else ''}"
+
+    def _let_run(self, on: bool) -> None:
+        self._runs, self._due = on, 0.0
+
+    def _toggle(self) -> None:
+        self._clock.value = not self._runs
+        self._let_run(not self._runs)
 
     # what the agent does
 
@@ -225,10 +272,10 @@ class SceneView:
         from gn0.viewer.viewpoints import choose_viewpoints
 
         scene, preset = self.scene, self.preset
-        navigation = NavigationMap(scene.grid, preset.agent.radius)
+        navigation = NavigationMap(scene.grid, self.agent.radius)
         if not navigation.inflated.free_area:
             self._status.content = (
-                f"Nothing is walkable here for an agent of radius {preset.agent.radius:g} m: "
+                f"Nothing is walkable here for an agent of radius {self.agent.radius:g} m: "
                 "look round, or run `gn0 scene check`."
             )
             return
@@ -251,17 +298,35 @@ class SceneView:
                 ),
                 renderer=DrawnScene(self._renderer),
                 bev=bev,
+                agent=self.agent,
                 max_steps=1_000_000,
-            )
+                bank=self._bank,
+            ),
+            self.people,
+            self.followed,
         )
         self._bev_map = bev_map(bev)
-        self.body = LiveBody(self.server, "/agent", preset.agent, AGENT)
-        poses = choose_viewpoints(scene, 1, max(0.25, preset.agent.radius + 0.05))
-        poses = [pose for pose in poses if self.walk.place(*pose)]
+        self.body = LiveBody(self.server, "/agent", self.agent, AGENT)
+        if self.people:
+            self._status.content = "*People are being dressed: seconds each, the first time…*"
+            self.server.flush()
+        try:
+            poses = [] if self.episode is None else [self.episode.start_pose]
+            poses = [pose for pose in poses if self.walk.place(*pose)]
+            if not poses:
+                poses = choose_viewpoints(scene, 1, max(0.25, self.agent.radius + 0.05))
+                poses = [pose for pose in poses if self.walk.place(*pose)]
+        except EpisodeError as error:
+            self._status.content = (
+                f"**{plain(error.what)}** {plain(error.where)}. {plain(error.remedy)}"
+            )
+            return
         if not poses:
             room = np.where(navigation.regions == 0, navigation.clearance, 0.0)
             x, y = scene.grid.centres_of(np.argwhere(room == room.max())[:1])[0]
             self.walk.place(float(x), float(y), 0.0)
+        row = next((k for k, p in enumerate(self.people) if p.number == self.followed), -1)
+        self._figures.cast(self.people, row)
         self._refresh()
 
     @property
@@ -271,7 +336,7 @@ class SceneView:
 
     def _move(self, word: str) -> None:
         if self.walk is not None and self.walk.standing:
-            self.walk.act(KEY_ACTIONS[word])
+            self.walk.act(Action.STOP if word == WAIT else KEY_ACTIONS[word])
             self._refresh()
 
     def _click(self, origin: Any, direction: Any) -> None:
@@ -313,9 +378,13 @@ class SceneView:
         assert self.walk is not None and self.body is not None
         walk = self.walk
         self.body.move(walk.pose, walk.trail, walk.last.bumped)
+        marks = walk.marks
+        if marks:
+            self._figures.move(marks)
         text = plain_lines(walk.text)
         if walk.last.bumped:
-            text += "\n\n**Bump.** An obstacle cut this short."
+            who = f"Person {walk.last.person}" if walk.last.person else "An obstacle"
+            text += f"\n\n**Bump.** {who} cut this short."
         self._status.content = text + f"\n\nbumps so far: {walk.bumps}"
         if not self.eyes.open:  # else drawn with the other pictures
             self._look()
@@ -325,19 +394,20 @@ class SceneView:
         assert self.walk is not None
         agent = MapAgent(self.walk.pose, AGENT, self.walk.trail)
         if self.kind == "BEV":
-            self._picture.image = self._bev_map.draw([agent])
+            self._picture.image = self._bev_map.draw([agent], people=self.walk.marks)
         else:
             self._picture.image = self.walk.picture(self.kind)
-        self._plan_image.image = self.plan.draw([agent])
+        self._plan_image.image = self.plan.draw([agent], people=self.walk.marks)
         self._look_out()
 
     def _look_out(self) -> None:
         """Draw the canvas anew while it shows what the agent sees."""
         if self.camera == CAMERAS[1] and self._renderer is not None:
             assert self.walk is not None
-            self.eyes.show(
-                self._renderer, self.walk.pose, "depth" if self.kind == "depth" else "RGB"
-            )
+            pose = self.walk.pose
+            show = partial(self.walk.simulator.show_people, pose)
+            kind: Literal["RGB", "depth"] = "depth" if self.kind == "depth" else "RGB"
+            self.eyes.show(self._renderer, pose, kind, show)
 
     def _tell(self, text: str) -> None:
         self._status.content = f"**{text}**"
@@ -356,6 +426,7 @@ class SceneView:
             self.eyes.hide()
         if self.body is not None and self.walk is not None and self.walk.standing:
             self.body.show(not inside, trail=not inside)
+            self._figures.show(not inside, tracks=not inside)
             self._look()
         if camera == CAMERAS[0]:
             self._jump("overview")
@@ -371,6 +442,7 @@ class SceneView:
             self.eyes.hide()
             if self.body is not None:
                 self.body.show(True)
+            self._figures.show(True)
         if where == "overview":
             self.stage.look_over(self.scene)
         else:

@@ -7,6 +7,7 @@ the agent's eyes they are put away, and the canvas gets the renderer's picture a
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,7 +19,12 @@ from gn0.viewer.live_stage import LiveStage
 from gn0.viewer.live_walk import colour_depth
 
 if TYPE_CHECKING:
+    from gn0.render.instance import Instance
     from gn0.render.renderer import SceneRenderer
+
+Show = Callable[
+    [float], "Sequence[Instance]"
+]  # what moves, for a picture of that focal length [px]
 
 SIDE_LIMIT = 1600  # px: a larger canvas gets a picture of this, enlarged
 BEYOND = 0.3  # brightness of what is drawn beyond the agent's own picture
@@ -57,6 +63,7 @@ def draw_canvas(
     *,
     kind: Literal["RGB", "depth"] = "RGB",
     beyond: float = BEYOND,
+    show: Show | None = None,
 ) -> U8:
     """The agent's picture amid a canvas of `size` [px]; what lies beyond it is darkened.
 
@@ -68,11 +75,16 @@ def draw_canvas(
         size: width and height [px].
         kind: colour, or depth as colours.
         beyond: brightness of what the agent itself does not see, 0 for nothing.
+        show: gives people, and whatever else moves.
     """
     camera, (left, top, right, bottom) = canvas_camera(preset.rgb, size)
     view = view_from_pose(pose.x, pose.y, height, pose.yaw, np.radians(preset.pitch_degrees))
     name: Literal["rgb", "depth"] = "depth" if kind == "depth" else "rgb"
-    drawn = renderer.render(camera, view[None], outputs=(name,), background=preset.background)
+    parts = () if show is None else tuple(show(camera.fx))
+    more: dict[str, Any] = {"parts": parts} if parts else {}
+    drawn = renderer.render(
+        camera, view[None], outputs=(name,), background=preset.background, **more
+    )
     if kind == "depth":
         assert drawn.depth is not None
         picture = colour_depth(drawn.depth[0], preset.depth_range[1])
@@ -115,9 +127,13 @@ class LiveEyes:
         return self._stage.veiled
 
     def show(
-        self, renderer: SceneRenderer, pose: Pose2D, kind: Literal["RGB", "depth"] = "RGB"
+        self,
+        renderer: SceneRenderer,
+        pose: Pose2D,
+        kind: Literal["RGB", "depth"] = "RGB",
+        show: Show | None = None,
     ) -> None:
-        """Draw the picture at `pose` for every visitor."""
+        """Draw the picture at `pose` for every visitor, with people as `show` shows them."""
         self._stage.veil(True)
         drawn: dict[Size, U8] = {}
         clients = self._server.get_clients()
@@ -129,7 +145,7 @@ class LiveEyes:
             if size not in drawn:
                 drawn[size] = draw_canvas(
                     renderer, self._preset, pose, self._height, size,
-                    kind=kind, beyond=self._beyond,
+                    kind=kind, beyond=self._beyond, show=show,
                 )  # fmt: skip
             self._sizes[key] = size
             with contextlib.suppress(RuntimeError):  # he has just left

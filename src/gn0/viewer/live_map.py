@@ -1,4 +1,4 @@
-"""Map pictures of the live view: plan or BEV with agents, trails, reference path and goal."""
+"""Map pictures of the live view: plan or BEV with agents, people, trails, path and goal."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ PictureKind = Literal["RGB", "depth", "BEV", "occupancy"]
 PICTURES: tuple[PictureKind, ...] = ("RGB", "depth", "BEV", "occupancy")
 AGENT = (214, 64, 40)
 REFERENCE, GOAL = (26, 28, 34), (34, 150, 84)
+FOLLOWED, PERSON = GOAL, (92, 108, 146)  # whom the agent is to follow, and anybody else
 _DOUBLE = 2  # drawn twice as large, then reduced
 
 
@@ -32,6 +33,20 @@ class MapAgent:
     pose: Pose2D
     colour: tuple[int, int, int] = AGENT
     trail: NDArray[np.floating] | Sequence[tuple[float, float]] = ()
+
+
+@dataclass(frozen=True)
+class MapPerson:
+    """A person on a map: pose, whether it is to be followed, and where it has been [N, 2] m."""
+
+    pose: Pose2D
+    followed: bool = False
+    trail: NDArray[np.floating] | Sequence[tuple[float, float]] = ()
+
+    @property
+    def colour(self) -> tuple[int, int, int]:
+        """Of its mark and trail."""
+        return FOLLOWED if self.followed else PERSON
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +75,12 @@ class LiveMap:
         *,
         reference: NDArray[np.floating] | Sequence[tuple[float, float]] = (),
         goal: tuple[float, float] | None = None,
+        people: Sequence[MapPerson] = (),
     ) -> U8:
-        """The map with trails under agents, and a task's path and goal under both."""
+        """The map with trails under agents and people, and a task's path and goal under both.
+
+        People are discs with a nose, whom to follow a larger one in green.
+        """
         large = Image.fromarray(np.ascontiguousarray(self.rgb))
         large = large.resize((large.width * _DOUBLE, large.height * _DOUBLE))
         pen = ImageDraw.Draw(large)
@@ -70,9 +89,20 @@ class LiveMap:
         if goal is not None:
             ((x, y),) = self.pixels([goal]) * _DOUBLE
             pen.polygon(_star(x, y, 9.0 * _DOUBLE), fill=GOAL, outline=(255, 255, 255))
+        people = sorted(people, key=lambda person: person.followed)  # whom to follow on top
+        for person in people:
+            if len(person.trail) > 1:
+                self._line(pen, person.trail, person.colour, 2 if person.followed else 1)
         for agent in agents:
             if len(agent.trail) > 1:
                 self._line(pen, agent.trail, agent.colour, 3)
+        for person in people:
+            ((x, y),) = self.pixels([(person.pose.x, person.pose.y)]) * _DOUBLE
+            size = (6.5 if person.followed else 5.0) * _DOUBLE
+            nose = _nose(x, y, person.pose.yaw, size)
+            pen.polygon(nose, fill=person.colour, outline=(255, 255, 255), width=_DOUBLE)
+            box = (x - size, y - size, x + size, y + size)
+            pen.ellipse(box, fill=person.colour, outline=(255, 255, 255), width=_DOUBLE)
         for agent in agents:
             ((x, y),) = self.pixels([(agent.pose.x, agent.pose.y)]) * _DOUBLE
             corners = _arrow(x, y, agent.pose.yaw, 9.0 * _DOUBLE)
@@ -116,6 +146,11 @@ def bev_map(bev: BevPicture, width: int = 520, height_limit: int = 420) -> LiveM
 
 def _arrow(x: float, y: float, yaw: float, size: float) -> list[tuple[float, float]]:
     shape = ((0.0, 1.3), (2.5, 1.0), (math.pi, 0.45), (-2.5, 1.0))
+    return [(x + r * size * math.cos(yaw + a), y - r * size * math.sin(yaw + a)) for a, r in shape]
+
+
+def _nose(x: float, y: float, yaw: float, size: float) -> list[tuple[float, float]]:
+    shape = ((0.0, 1.9), (0.75, 1.0), (-0.75, 1.0))
     return [(x + r * size * math.cos(yaw + a), y - r * size * math.sin(yaw + a)) for a, r in shape]
 
 

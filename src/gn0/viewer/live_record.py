@@ -14,11 +14,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from gn0.bench.company_watch import FollowReferee
+from gn0.bench.follow_metrics import FollowMetrics
+from gn0.bench.report_follow import END_WORDS
 from gn0.bench.results import EpisodeResult
 from gn0.bench.walk_recording import WalkRecorder
 from gn0.errors import EpisodeError
 from gn0.geometry import U8
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.sim.presets import find_preset
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Observation
@@ -37,6 +40,14 @@ RULES = (
     "*Begin again* takes you back to the start and is counted. On the occupancy map red is you, "
     "green is the start.\n\n"
     "**I** forward · **J** left · **L** right · **V** next map · **N** next episode"
+)
+
+RULES_FOLLOW = (
+    "Follow whom the task says. **Wait** stands still for one action; people move only while you "
+    "act. The walk ends by itself, and is scored: when the person has arrived, when you touched "
+    "or lost somebody, or with the last step. *Begin again* takes you back to the start and is "
+    "counted.\n\n"
+    "**I** forward · **J** left · **L** right · **K** wait · **V** next map · **N** next episode"
 )
 
 
@@ -69,6 +80,9 @@ class RecordView:
         self._simulator: Simulator | None = None
         self._seen: Observation | None = None
         self._bumps = 0
+        self._obstacle = ""
+        self._referee: FollowReferee | None = None
+        self._follows = all(isinstance(e.mission, MissionFollow) for e in recorder.episodes)
         live.asks.append(lambda name: loop.post(partial(self._open_link, name), key="link"))
 
     def open(self) -> None:
@@ -114,7 +128,7 @@ class RecordView:
         self._status = gui.add_markdown("*The scene is being loaded…*")
         moves = gui.add_button_group("Move", ("left", "forward", "right"))
         hear(self.loop, moves.on_click, self.move)
-        stop = gui.add_button("Stop")
+        stop = gui.add_button("Wait" if self._follows else "Stop")
         hear(self.loop, stop.on_click, lambda _: self.stop())
         again = gui.add_button("Begin again", color="gray")
         hear(self.loop, again.on_click, lambda _: self.begin_again())
@@ -127,11 +141,12 @@ class RecordView:
         self._map = gui.add_image(blank, format="png") if self.maps else None
         told = "goal_picture" in self.recorder.sensors
         self._goal = gui.add_image(blank, format="jpeg") if told else None
-        gui.add_markdown(RULES)
+        gui.add_markdown(RULES_FOLLOW if self._follows else RULES)
         for label, key, work in (
             ("Agent: forward", "I", partial(self.move, "forward")),
             ("Agent: left", "J", partial(self.move, "left")),
             ("Agent: right", "L", partial(self.move, "right")),
+            *((("Agent: wait", "K", self.stop),) if self._follows else ()),
             ("Next map", "V", self._next_map),
             ("Next episode", "N", self._turn_page),
         ):
@@ -152,7 +167,7 @@ class RecordView:
         result = self.recorder.results.get(episode.id)
         if result is None:
             return "•" if self.recorder.is_walked(episode) else "–"
-        return "!" if result.metrics is None else "✓" if result.metrics.success else "✗"
+        return "!" if result.success is None else "✓" if result.success else "✗"
 
     def _find(self, name: str) -> Episode | None:
         return next((e for e in self.recorder.episodes if e.id == name), None)
@@ -194,6 +209,9 @@ class RecordView:
         self.actions, self._bumps = [], 0
         try:
             self._seen = self._simulator.reset(self.episode)
+            self._referee = self.recorder.referee(self._simulator, self.episode)
+            if self._referee is not None:
+                self._referee(self._seen, None)
         except EpisodeError as error:
             if not walked:
                 self.recorder.save(self.episode, (), seconds=0.0, attempts=1)
@@ -220,7 +238,8 @@ class RecordView:
         self.actions.append(action)
         self._seen = result.observation
         self._bumps += result.collided
-        if result.terminated or result.truncated:
+        over = self._referee is not None and self._referee(result.observation, result)
+        if over or result.terminated or result.truncated:
             self.walking = False
             self.recorder.save(
                 self.episode,
@@ -230,6 +249,8 @@ class RecordView:
             )
             self._list.options = self._retitle()
             self._list.value = self._title(self.episode)
+        hit = result.info.get("hit_person") is not None
+        self._obstacle = "A person" if hit else "An obstacle"
         self._refresh(result.collided)
 
     # what is shown
@@ -241,8 +262,10 @@ class RecordView:
             self._tell(self._score())
         else:
             word = WORDS[self.actions[-1]] if self.actions else "put at the start"
+            if self._referee is not None and word == WORDS[Action.STOP]:
+                word = "wait"
             lines = [f"step {len(self.actions)} of {simulator.max_steps}: {word}"]
-            lines += ["**Bump.** An obstacle cut this short."] if bumped else []
+            lines += [f"**Bump.** {self._obstacle} cut this short."] if bumped else []
             lines += self._facts()
             self._tell("\n\n".join([*lines, f"bumps so far: {self._bumps}"]))
         self.loop.post(self._draw, key="draw")
@@ -293,13 +316,21 @@ class RecordView:
         if simulator is not None and self._seen is not None:
             renderer = simulator.suite.renderer
             assert renderer is not None
-            self.eyes.show(renderer, simulator.pose)
+            show = partial(simulator.show_people, simulator.pose)
+            self.eyes.show(renderer, simulator.pose, show=show)
 
 
 def tell_result(result: EpisodeResult | None) -> str:
     """How a walk ended, in words."""
     if result is None:
         return "**This episode has its result already.**"
+    if isinstance(result.follow, FollowMetrics):
+        f = result.follow
+        return (
+            f"**{'Success' if f.success else 'No success'}:** ended by {END_WORDS[f.end]} · "
+            f"{100 * f.following_rate:.0f} % followed · {f.distance_error:.2f} m off the distance "
+            f"to keep · {f.steps} steps, {f.losses} losses"
+        )
     if result.metrics is None:
         return f"**No score:** {plain(result.reason)}"
     m = result.metrics

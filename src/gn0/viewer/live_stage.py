@@ -214,21 +214,28 @@ class LiveStage:
             )
 
     def show_task(
-        self, path: Sequence[tuple[float, float]], goal: tuple[float, float], radius: float
+        self, path: Sequence[tuple[float, float]], goal: tuple[float, float] | None, radius: float
     ) -> None:
-        """A task's reference path, its goal as a pole, and the circle of success [m]."""
+        """A task's reference path, its goal as a pole, and the circle of success [m].
+
+        There is no goal where somebody is to be followed.
+        """
         for handle in self._task:
             handle.remove()
         scene = self.server.scene
-        turn = np.linspace(0, 2 * np.pi, 65)
-        ring = np.column_stack([goal[0] + radius * np.cos(turn), goal[1] + radius * np.sin(turn)])
-        self._task = [
-            scene.add_cylinder(
-                "/task/goal", 0.07, 2.2, color=GOAL, opacity=0.85, position=(*goal, 1.1)
-            ),
-            scene.add_label("/task/name", "GOAL", position=(*goal, 2.3), anchor="bottom-center"),
-            add_line(scene, "/task/ring", ring, GOAL, 0.06, 2),
-        ]
+        self._task = []
+        if goal is not None:
+            turn = np.linspace(0, 2 * np.pi, 65)
+            ring = goal + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+            self._task = [
+                scene.add_cylinder(
+                    "/task/goal", 0.07, 2.2, color=GOAL, opacity=0.85, position=(*goal, 1.1)
+                ),
+                scene.add_label(
+                    "/task/name", "GOAL", position=(*goal, 2.3), anchor="bottom-center"
+                ),
+                add_line(scene, "/task/ring", ring, GOAL, 0.06, 2),
+            ]
         if len(path) > 1:
             self._task.append(add_line(scene, "/task/path", path, REFERENCE, 0.06, 4))
         for handle in self._task:

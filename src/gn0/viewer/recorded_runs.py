@@ -10,15 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from gn0.bench.company_watch import digest_places
 from gn0.bench.episode_clip import ACTION_WORDS
-from gn0.bench.follow_metrics import FollowMetrics
+from gn0.bench.follow_metrics import FOLLOW_METRICS, FollowMetrics
+from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.metrics import METRICS
+from gn0.bench.people_replay import PeopleStill
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.report_follow import END_WORDS
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import SUITE_FILE, Suite
 from gn0.viewer.live_text import name_line, plain, table
@@ -28,6 +33,7 @@ COLOURS = (
     (214, 64, 40), (40, 110, 220), (240, 170, 30), (130, 60, 160), (20, 150, 140), (120, 120, 130),
     (230, 110, 160), (110, 80, 50),
 )  # fmt: skip
+_SHOWN_FOLLOW = ("TR_mean", "distance_error", "bearing", "losses", "wrong_person")
 _SHOWN = ("SPL", "NE_geo", "OS", "TL", "steps", "collision_rate")
 
 
@@ -111,16 +117,32 @@ class Replay:
             ", bump" if self.bumped(run, episode, step) else ""
         )
 
+    def people_agree(self, run: ReplayRun, episode: Episode, stills: Sequence[PeopleStill]) -> bool:
+        """Whether people are where the run had them.
+
+        To a millimetre where it wrote down their tracks, to the bit where it wrote a digest.
+        """
+        trace = run.trace(episode.id)
+        if isinstance(trace.follow, FollowTrace):
+            told = np.array(trace.follow.people, np.float64).swapaxes(0, 1)
+            here = np.array([still.places for still in stills])
+            return told.shape == here.shape and bool(np.abs(told - here).max() < 1e-3)
+        if isinstance(trace.people, str):
+            return trace.people == digest_places(still.places for still in stills)
+        return True
+
     def metrics_table(self, episode: Episode) -> str:
         """What each run scored, as Markdown."""
-        infos = [info for info in METRICS if info.key in _SHOWN]
+        follows = isinstance(episode.mission, MissionFollow)
+        table_of, shown = (FOLLOW_METRICS, _SHOWN_FOLLOW) if follows else (METRICS, _SHOWN)
+        infos = [info for info in table_of if info.key in shown]
         rows = [["outcome", *(_outcome(run.results.get(episode.id)) for run in self.runs)]]
         for info in infos:
             cells = []
             for run in self.runs:
                 result = run.results.get(episode.id)
-                scored = None if result is None else result.metrics
-                cells.append("–" if scored is None else _number(scored, info.field, info.unit))
+                scored = None if result is None else result.follow if follows else result.metrics
+                cells.append("–" if not scored else _number(scored, info.field, info.unit))
             rows.append([f"{plain(info.key.replace('_', ' '))}", *cells])
         return table(["", *(plain(run.name, 24) for run in self.runs)], rows)
 
@@ -224,4 +246,6 @@ def _number(metrics: object, field: str, unit: str) -> str:
     value = float(getattr(metrics, field))
     if unit == "%":
         return f"{100 * value:.0f} %"
+    if unit == "°":
+        return f"{value:.0f}°"
     return f"{value:.2f} m" if unit == "m" else f"{value:.0f}"

@@ -1,4 +1,7 @@
-"""The live view of recorded runs: all agents at once in the scene, and what each of them saw."""
+"""The live view of recorded runs: all agents at once in the scene, and what each of them saw.
+
+People are where they were at each step: an episode's actions are played again for that.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gn0.bench.episode_clip import clip_camera
-from gn0.errors import BenchError
-from gn0.geometry import U8, view_from_pose
+from gn0.bench.people_replay import PeopleReplay, PeopleStill
+from gn0.errors import BenchError, Gn0Error
+from gn0.geometry import F64, U8, Pose2D, view_from_pose
 from gn0.missions.episode import Episode
+from gn0.render.camera import Camera
+from gn0.render.instance import Instance
 from gn0.render.open import build_renderer
-from gn0.render.renderer import Renderer
+from gn0.render.renderer import DrawnScene, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.suites.suite import load_suite_scene
@@ -22,7 +28,8 @@ from gn0.viewer.floor_plan import font
 from gn0.viewer.live import PANEL, ceiling_cut, hear
 from gn0.viewer.live_eyes import LiveEyes
 from gn0.viewer.live_loop import LiveLoop
-from gn0.viewer.live_map import AGENT, LiveMap, MapAgent, plan_map
+from gn0.viewer.live_map import AGENT, LiveMap, MapAgent, MapPerson, plan_map
+from gn0.viewer.live_people import LivePeople, frame_person, mark_people
 from gn0.viewer.live_server import LiveServer
 from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.live_stage import OVERVIEW_FOV, LiveBody, LiveStage, overview
@@ -65,6 +72,10 @@ class ReplayView:
         self._renderer: Renderer | None = None
         self._drawn = False
         self._plan: LiveMap | None = None
+        self._people = LivePeople(live.viser, "/people")
+        self._past: PeopleReplay | None = None  # of the scene on the stage
+        self._stills: dict[int, tuple[PeopleStill, ...]] = {}  # by run, of the episode shown
+        self._met = ""  # the episode that they are of
         self._bodies = [
             LiveBody(live.viser, f"/run_{i}", about.agent, run.colour)
             for i, run in enumerate(replay.runs)
@@ -109,7 +120,7 @@ class ReplayView:
         suite = self.replay.suite
         scene = load_suite_scene(suite.scene_folder(scene_id), scene_id, suite.scene_hash(scene_id))
         self.stage.clear()
-        self.scene, self._renderer = scene, None
+        self.scene, self._renderer, self._past = scene, None, None
         self.stage.start_at(*overview(scene), OVERVIEW_FOV)
         live = build_live_splats(scene.gaussians, self.count)
         self.stage.show_splats(live, ceiling_cut(scene))
@@ -138,6 +149,7 @@ class ReplayView:
         self._eyes = {name_line(f"eyes of {run.name}"): i for i, run in enumerate(runs)}
         camera = gui.add_dropdown("Camera", ["free", *self._eyes], initial_value="free")
         hear(self.loop, camera.on_update, self._follow)
+        self._crowd = gui.add_markdown("")
         self._scores = gui.add_markdown("")
         assert self._plan is not None
         self._map = gui.add_image(self._plan.rgb, format="png")
@@ -187,7 +199,11 @@ class ReplayView:
         radius = self.replay.suite.about.success_radius
         if not episode.in_area:
             radius = episode.success_within(radius)
-        self.stage.show_task(episode.path, episode.goal, radius)
+        goal = None if episode.followed is not None else episode.goal
+        self.stage.show_task(episode.path, goal, radius)
+        self._stills, self._met = {}, ""
+        self._people.clear()
+        self._crowd.content = ""
         self._pause()
         self._show(0)
 
@@ -261,26 +277,103 @@ class ReplayView:
             if pose is not None:
                 trail = self.replay.trail(run, self.episode, step)
                 body.move(pose, trail, self.replay.bumped(run, self.episode, step))
+        if self._stills:
+            self._people.move(self._mark_people())
         self.loop.post(self._draw, key="draw")
+
+    # people
+
+    def _meet(self) -> None:
+        """Find out where people were in each run of the episode, once."""
+        episode = self.episode
+        if not episode.people or self._met == episode.id:
+            return
+        assert self.scene is not None and self._renderer is not None
+        self._met = episode.id
+        if self._past is None:
+            drawn, profile = DrawnScene(self._renderer), self.replay.suite.about.profile
+            self._past = PeopleReplay(self.scene, drawn, profile=profile)
+        try:
+            self._past.eyes.cast.check(episode.people)
+            for i, run in enumerate(self.replay.runs):
+                trace = run.trace(episode.id)
+                if trace.poses:
+                    self._stills[i] = self._past.stills(episode, trace)
+        except Gn0Error as error:
+            self._stills = {}
+            self._crowd.content = f"**People cannot be shown:** {plain(error)}"
+            return
+        self._people.cast(episode.people, self._followed)
+        self._people.move(self._mark_people())
+        self._crowd.content = self._tell_people()
+
+    def _tell_people(self) -> str:
+        """Who is there, in words, and whether they are where the runs had them."""
+        episode = self.episode
+        count = len(episode.people)
+        text = "One person is there" if count == 1 else f"{count} people are there"
+        if episode.followed is not None:
+            text += "; whom to follow is green, and framed in the pictures"
+        if len(self.replay.runs) > 1:
+            text += f". Scene and plan show those of {plain(self.replay.runs[self._side].name, 24)}"
+        parted = [
+            self.replay.runs[i].name
+            for i, stills in self._stills.items()
+            if not self.replay.people_agree(self.replay.runs[i], episode, stills)
+        ]
+        if parted:
+            text += (
+                f".\n\n**Not as recorded** in {plain(', '.join(parted))}: other code made the run "
+                "(`gn0 bench replay` says where it parts)"
+            )
+        return text + "."
+
+    @property
+    def _followed(self) -> int:
+        """Row of whom the agent is to follow; −1 nobody."""
+        followed = self.episode.followed
+        return -1 if followed is None else self.episode.people.index(followed)
+
+    @property
+    def _side(self) -> int:
+        """The run whose people the scene and the plan show: whose eyes are open, else the first."""
+        chosen = self._eyes.get(self.camera)
+        return chosen if chosen in self._stills else min(self._stills, default=0)
+
+    def _still(self, run: int) -> PeopleStill | None:
+        """People of a run at the step shown; as they were at its end when it has ended."""
+        stills = self._stills.get(run)
+        return stills[min(max(self.step, 0), len(stills) - 1)] if stills else None
+
+    def _mark_people(self) -> tuple[MapPerson, ...]:
+        stills = self._stills.get(self._side)
+        if not stills:
+            return ()
+        past = stills[: min(max(self.step, 0), len(stills) - 1) + 1]
+        return mark_people([still.places for still in past], past[-1].faces, self._followed)
+
+    def _show_people(self, run: int, pose: Pose2D, focal: float) -> tuple[Instance, ...]:
+        """People of a run as an eye at a pose sees them."""
+        still = self._still(run)
+        if still is None or self._past is None:
+            return ()
+        return self._past.eyes.show(still, pose, focal)[0]
 
     def _draw(self) -> None:
         """Pictures of each agent, one under the other, and the plan."""
         assert self.scene is not None and self._plan is not None
         if self._renderer is None:
             self._renderer = build_renderer(self.scene.gaussians)
+        self._meet()
         found = [self.replay.pose(run, self.episode, self.step) for run in self.replay.runs]
         there = [(i, pose) for i, pose in enumerate(found) if pose is not None]
         camera = clip_camera(self.preset.rgb, VIEW_HEIGHT)
         pitch = math.radians(self.preset.pitch_degrees)
         height = self.agent.camera_height
         pictures: dict[int, U8] = {}
-        if there:
-            views = np.stack([view_from_pose(p.x, p.y, height, p.yaw, pitch) for _, p in there])
-            drawn = self._renderer.render(
-                camera, views, outputs=("rgb",), background=self.preset.background
-            ).rgb
-            assert drawn is not None
-            pictures = {i: np.asarray(d, np.uint8) for (i, _), d in zip(there, drawn, strict=True)}
+        for i, pose in there:
+            view = view_from_pose(pose.x, pose.y, height, pose.yaw, pitch)
+            pictures[i] = self._draw_eyes(i, pose, camera, view)
         self._views.image = self._column(pictures, camera.width)
         agents = [
             MapAgent(
@@ -291,10 +384,33 @@ class ReplayView:
             for i, pose in there
         ]
         self._map.image = self._plan.draw(
-            agents, reference=self.episode.path, goal=self.episode.goal
+            agents,
+            reference=self.episode.path,
+            goal=None if self.episode.followed is not None else self.episode.goal,
+            people=self._mark_people(),
         )
         self._drawn = True
         self._look()
+
+    def _draw_eyes(self, run: int, pose: Pose2D, camera: Camera, view: F64) -> U8:
+        """What a run's agent saw, whom it is to follow in a frame."""
+        assert self._renderer is not None
+        parts = self._show_people(run, pose, camera.fx)
+        more: dict[str, Any] = {"parts": parts} if parts else {}
+        drawn = self._renderer.render(
+            camera, view[None], outputs=("rgb",), background=self.preset.background, **more
+        ).rgb
+        assert drawn is not None
+        picture = np.array(drawn[0], np.uint8)
+        still = self._still(run)
+        if parts and still is not None and self._followed >= 0:
+            assert self._past is not None
+            number = self._past.eyes.want(still, pose, camera.fx).numbers
+            wanted = self.episode.people[self._followed].number
+            if wanted in number:
+                who = self._past.eyes.renderer.render_who(camera, view[None], [parts])
+                frame_person(picture, who.seen[0][number.index(wanted)].box)
+        return picture
 
     def _column(self, pictures: dict[int, U8], width: int) -> U8:
         """Each run's picture under a bar with its colour, name and last action."""
@@ -318,6 +434,10 @@ class ReplayView:
         chosen = self._eyes.get(camera)
         for body in self._bodies:
             body.show(chosen is None, trail=chosen is None)
+        self._people.show(chosen is None, tracks=chosen is None)
+        if self._stills:
+            self._crowd.content = self._tell_people()
+            self._show(self.step)  # it may be others who are shown
         if chosen is None:
             self.eyes.hide()
             self.stage.look_over(self.scene)
@@ -330,4 +450,5 @@ class ReplayView:
         if chosen is not None and self._renderer is not None:
             pose = self.replay.pose(self.replay.runs[chosen], self.episode, self.step)
             if pose is not None:
-                self.eyes.show(self._renderer, pose)
+                show = partial(self._show_people, chosen, pose)
+                self.eyes.show(self._renderer, pose, show=show)

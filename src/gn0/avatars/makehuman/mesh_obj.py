@@ -76,6 +76,8 @@ def load_obj(path: Path | str) -> QuadMesh:
                 pairs = [[*word.split("/"), ""][:2] for word in words[1:]]
                 face = [int(pair[0]) for pair in pairs]
                 corner = [int(pair[1]) if pair[1] else 0 for pair in pairs]
+                if max(map(abs, face + corner)) >= 2**31:
+                    raise ValueError("a number too large for a vertex")
                 faces.append(face + face[-1:] * (4 - len(face)))
                 corners.append(corner + corner[-1:] * (4 - len(corner)))
                 group.append(current if groups else 0)
@@ -91,7 +93,9 @@ def load_obj(path: Path | str) -> QuadMesh:
     texture = np.array(textures, np.float64).reshape(-1, 2)
     texture_index = np.array(corners, np.int64).reshape(-1, 4) - 1
     if not np.isfinite(vertices).all() or not np.isfinite(texture).all():
-        raise FormatError("a coordinate is not finite", file=name, field="v")
+        raise FormatError(
+            "a coordinate is not finite", file=name, field="v", remedy="export the mesh again"
+        )
     for index, size, field in (
         (corner_index, len(vertices), "f"),
         (texture_index + 1, len(texture) + 1, "f (vt)"),

@@ -91,7 +91,7 @@ def load_mhclo(path: Path | str) -> Cloth:
     file = Path(path)
     heads: dict[str, list[str]] = {}
     rows: list[list[float]] = []
-    covers: list[int] = []
+    covers = np.zeros(VERTEX_COUNT, np.bool_)  # ranges may overlap, and be many
     section = "head"
     for number, line in enumerate(
         read_bytes(file, _BYTES_MOST).decode("utf-8", "replace").splitlines(), 1
@@ -105,7 +105,8 @@ def load_mhclo(path: Path | str) -> Cloth:
         elif section == "verts" and _is_number(key):
             rows.append(_row(words, file, number))
         elif section == "delete_verts" and key.isdecimal():
-            covers += _ranges(words, file, number)
+            for first, last in _ranges(words, file, number):
+                covers[first : last + 1] = True
         else:  # a key may come between `verts` and its rows
             heads[key] = words[1:]
     base = " ".join(heads.get("basemesh", ["nothing"]))
@@ -130,7 +131,7 @@ def load_mhclo(path: Path | str) -> Cloth:
         binding=_binding(np.array(rows), heads, file),
         faces=mesh.faces,
         uv=mesh.uv,
-        covers=np.unique(np.array(covers, np.int64)).astype(np.int32),
+        covers=np.flatnonzero(covers).astype(np.int32),
         depth=_whole(heads.get("z_depth", ["50"]), file),
     )
 
@@ -162,9 +163,9 @@ def _row(words: list[str], file: Path, number: int) -> list[float]:
     return values
 
 
-def _ranges(words: list[str], file: Path, number: int) -> list[int]:
-    """Numbers and ranges `a - b`, both ends in."""
-    found: list[int] = []
+def _ranges(words: list[str], file: Path, number: int) -> list[tuple[int, int]]:
+    """Numbers and ranges `a - b`, as first and last."""
+    found: list[tuple[int, int]] = []
     at = 0
     try:
         while at < len(words):
@@ -174,10 +175,13 @@ def _ranges(words: list[str], file: Path, number: int) -> list[int]:
                 last, at = int(words[at + 1]), at + 2
             if not 0 <= first <= last < VERTEX_COUNT:
                 raise ValueError(f"{first} - {last} of {VERTEX_COUNT} vertices")
-            found += range(first, last + 1)
+            found.append((first, last))
     except (ValueError, IndexError) as error:
         raise FormatError(
-            f"line {number} does not list body vertices: {error}", file=file, field="delete_verts"
+            f"line {number} does not list body vertices: {error}",
+            file=file,
+            field="delete_verts",
+            remedy="list numbers and ranges, as 3 - 5 9",
         ) from None
     return found
 
@@ -190,7 +194,9 @@ def _binding(rows: F64, heads: dict[str, list[str]], file: Path) -> Binding:
             lengths[axis] = int(words[0]), int(words[1])
             units[axis] = float(words[2])
             if not (
-                lengths[axis].min() >= 0 and lengths[axis].max() < VERTEX_COUNT and units[axis] > 0
+                lengths[axis].min() >= 0
+                and lengths[axis].max() < VERTEX_COUNT
+                and 0 < units[axis] < np.inf
             ):
                 raise ValueError(" ".join(words))
         except (ValueError, IndexError, OverflowError) as error:
@@ -211,6 +217,12 @@ def _binding(rows: F64, heads: dict[str, list[str]], file: Path) -> Binding:
 
 def _whole(words: list[str], file: Path) -> int:
     try:
-        return int(float(words[0]))
+        depth = int(float(words[0]))
+        if abs(depth) >= 2**31:
+            raise ValueError(words[0])
     except (ValueError, IndexError, OverflowError):
-        raise FormatError("this is not a number", file=file, field="z_depth") from None
+        raise FormatError(
+            f"{' '.join(words)[:40]!r} is not a depth", file=file, field="z_depth",
+            remedy="give a whole number, 50 for most clothes",
+        ) from None  # fmt: skip
+    return depth

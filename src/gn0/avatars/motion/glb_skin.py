@@ -151,7 +151,9 @@ def decode_gltf_motion(
     document, rig = _decode(text, GltfDocument, source), _decode(text, _Rig, source)
     if not rig.skins or not rig.animations:
         what = "skin" if not rig.skins else "animation"
-        raise source.refuse(f"has no {what}", None, field=f"{what}s", remedy="export with both")
+        raise source.refuse(
+            f"has no {what}", None, field=f"{what}s", remedy="export with skin and animation"
+        )
     names = tuple(found.name or f"clip {k}" for k, found in enumerate(rig.animations))
     if clip is not None and clip not in names:
         raise source.refuse(f"has no clip {clip!r}; its clips are {', '.join(names[:40])}", None)

@@ -189,6 +189,10 @@ class Here(Protocol):
         """The scene from above [Hb, Wb, 3], or what the agent has seen of it."""
         ...
 
+    def bev_live(self) -> U8:
+        """The same with people as they stand now, and the agent."""
+        ...
+
     def occupancy(self) -> U8:
         """The map as a picture [Hb, Wb, 3] with start and agent, or what the agent knows of it."""
         ...

@@ -123,7 +123,7 @@ class Stage:
         """The range ring [72] m: to walls, and to discs of people, as far as the agent can go."""
         x, y, yaw = self.pose
         angles = yaw + 2 * np.pi * np.arange(72) / 72
-        free = cast_rays(self.navigation.inflated, x, y, angles, 10.0)
+        free = cast_rays(self.navigation.inflated, x, y, angles, 10.0).astype(np.float64)
         for px, py in self.places(self.time):
             along = (px - x) * np.cos(angles) + (py - y) * np.sin(angles)
             aside = (px - x) * np.sin(angles) - (py - y) * np.cos(angles)

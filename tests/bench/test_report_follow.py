@@ -177,6 +177,10 @@ def test_the_report_has_following_beside_the_rest(run: Path) -> None:
     rows = [given for tag, _, given in shapes.found if tag == "tr" and "data-rank" in given]
     assert [given["data-outcome"] for given in rows] == ["failure", "success", "success", "success"]
     assert "TR pooled" in text and "off the preferred distance" in text
+    captions = re.findall("<caption>(Following by [^<]*)", text)
+    assert [words.split(":")[0] for words in captions] == [
+        "Following by level", "Following by category",
+    ]  # fmt: skip
     assert len(re.findall("<video", text)) == 2
     table = base64.b64decode(re.findall(r'href="data:text/csv[^,]*,([^"]+)"', text)[0]).decode()
     cells = list(csv.DictReader(io.StringIO(table)))

@@ -16,16 +16,10 @@ from gn0.data.follow_oracle import FollowOracle, FollowTask, choose_following, p
 from gn0.errors import PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
-from gn0.policies.box_follower import (
-    BoxFollower,
-    BoxGains,
-    PolicyBoxFollower,
-    Sighting,
-    choose_box,
-    steer,
-)
+from gn0.policies.box_follower import BoxFollower, BoxGains, PolicyBoxFollower, steer
 from gn0.policies.follow_floors import PolicyAlwaysStop, StraightAtPerson
-from gn0.policies.person_boxes import PersonBox, PictureView, find_boxes
+from gn0.policies.person_boxes import PersonBox, PictureView, find_boxes, looks_apart
+from gn0.policies.person_tracker import PersonTracker, Sighting
 from gn0.sim.state import Action, Observation
 from gn0_trials.follow_stage import (
     BODY,
@@ -47,7 +41,9 @@ Choose = Callable[[Stage], Action]
 
 def follow_boxes() -> Choose:
     follower = BoxFollower(VIEW, BODY)
-    return lambda stage: follower.act(find_boxes(*stage.look()), stage.collided)
+    return lambda stage: follower.act(
+        find_boxes(*stage.look()), stage.pose, stage.time, stage.ranges(), stage.collided
+    )
 
 
 def follow_all_knowing(stage: Stage) -> Choose:
@@ -80,7 +76,10 @@ def test_boxes_are_around_people_and_do_not_say_who_they_are() -> None:
     left, right = find_boxes(people, rgb)
     assert (left.left, left.top, left.right, left.bottom, left.pixels) == (4, 5, 8, 15, 40)
     assert (right.left, right.right) == (20, 26)
-    assert right.look == (200, 0, 0, 0, 0, 100)
+    # CIE L*a*b* (D65) of sRGB (200, 0, 0) and (0, 0, 100), by hand
+    assert right.look == pytest.approx((41.7, 66.7, 56.0, 8.3, 39.8, -54.3), abs=0.1)
+    darker = (30.0, 64.1, 54.3, 9.9, 37.1, -54.3)
+    assert looks_apart(right.look, darker) < looks_apart(right.look, (41.9, 0, 54.3, 9.9, 37, -54))
     renamed = np.array([0, 1, 2, 1, 0, 7, 0, 0, 0, 2], np.uint8)[people]
     assert find_boxes(renamed, rgb) == [left, right]
     assert find_boxes(np.zeros((4, 4), np.uint8)) == []
@@ -101,24 +100,17 @@ def test_a_box_says_where_somebody_stands(ahead: float, part: float) -> None:
 
 def test_the_controllers_turn_walk_and_stand() -> None:
     def at(degrees: float, distance: float) -> Action:
-        return steer(Sighting(math.radians(degrees), distance, ()), BoxGains(), BODY)
+        seen = Sighting((0, 0), 0.0, (), bearing=math.radians(degrees), distance=distance)
+        return steer(seen, BoxGains(distance=1.5), BODY)
 
     assert at(0, 1.5) == at(7, 1.6) == at(0, 0.6) == Action.STOP
     assert at(8, 1.5) == at(30, 3.0) == Action.LEFT and at(-8, 1.5) == Action.RIGHT
     assert at(0, 1.7) == Action.FORWARD
     assert at(20, 3.0) == Action.FORWARD, "far off it walks first"
-    leaving = Sighting(0.0, 1.5, (), leaving=1.0)
-    assert steer(leaving, BoxGains(), BODY) == Action.FORWARD, "before the distance has grown"
-
-
-def test_a_sighting_stays_where_it_is_while_the_agent_moves() -> None:
-    seen = Sighting(math.radians(15), 2.0, ())
-    turned = seen.after(Action.LEFT, True, BODY)
-    assert turned.bearing == pytest.approx(0) and turned.distance == pytest.approx(2.0)
-    nearer = turned.after(Action.FORWARD, True, BODY)
-    assert (nearer.bearing, nearer.distance) == pytest.approx((0.0, 1.75))
-    assert nearer.after(Action.FORWARD, False, BODY).distance == pytest.approx(1.75)
-    assert nearer.age == pytest.approx(0.4)
+    leaving = Sighting((0, 0), 0.0, (), distance=1.5, leaving=1.0)
+    assert steer(leaving, BoxGains(distance=1.5), BODY) == Action.FORWARD, (
+        "before the distance has grown"
+    )
 
 
 def box_at(left: int, look: tuple[float, ...]) -> PersonBox:
@@ -126,15 +118,49 @@ def box_at(left: int, look: tuple[float, ...]) -> PersonBox:
 
 
 def test_it_takes_who_is_ahead_then_who_is_where_it_was_then_who_looks_like_it() -> None:
-    red, green = (200.0, 40, 40, 40, 40, 120), (40.0, 150, 60, 90, 80, 70)
+    red, green = (42.0, 62, 40, 20, 20, -40), (55.0, -45, 35, 35, 2, 5)
+    here = Pose2D(0, 0, 0)
     ahead, aside = box_at(70, red), box_at(10, green)
-    assert choose_box([aside, ahead], VIEW, None) == ahead
-    last = Sighting(VIEW.bearing(ahead), VIEW.distance(ahead, 1.7), red)
-    assert choose_box([box_at(10, red), box_at(72, red)], VIEW, last) == box_at(72, red)
-    assert choose_box([box_at(70, green)], VIEW, last) is None, "somebody else stepped in"
-    old = Sighting(1.0, 2.0, red, age=3.0)
-    assert choose_box([box_at(70, green), box_at(10, red)], VIEW, old) == box_at(10, red)
-    assert choose_box([], VIEW, old) is None
+    tracker = PersonTracker(VIEW)
+    assert tracker.choose([aside, ahead], here, 0.0) == ahead
+    assert tracker.look([ahead], here, 0.0) == ahead
+    assert tracker.choose([box_at(10, red), box_at(72, red)], here, 0.2) == box_at(72, red)
+    assert tracker.choose([box_at(70, green)], here, 0.2) is None, "somebody else stepped in"
+    assert tracker.choose([box_at(70, green), box_at(10, red)], here, 3.0) == box_at(10, red)
+    assert tracker.choose([], here, 0.2) is None
+    turned = Pose2D(0, 0, math.radians(15))  # the agent turned left: the box moves to the right
+    moved = box_at(70 + round(WIDTH / 2 / math.tan(math.radians(HFOV / 2)) * math.tan(0.262)), red)
+    assert tracker.choose([box_at(70, red), moved], turned, 0.2) == moved
+
+
+def test_after_a_loss_it_cannot_tell_look_alikes_apart() -> None:
+    """Boxes and colours, no numbers: whoever looks the same is taken, wherever that is."""
+    red = (42.0, 62, 40, 20, 20, -40)
+    tracker = PersonTracker(VIEW)
+    tracker.look([box_at(70, red)], Pose2D(0, 0, 0), 0.0)
+    stranger = box_at(120, red)
+    assert tracker.choose([stranger], Pose2D(0, 0, 0), 0.2) is None, "nobody is so quick"
+    assert tracker.choose([stranger], Pose2D(9, 9, 3), 5.0) == stranger
+
+
+def test_it_looks_for_who_went_round_a_corner_where_it_was_last_seen() -> None:
+    """The person has left for good: the agent goes to where it was, and turns to where it went."""
+    stage = corridor_stage(1.0)
+    gone = stage.tracks[0]
+    corner = next(k for k, place in enumerate(gone.places) if place[1] > 5.0)
+    follower, seen = BoxFollower(VIEW, BODY), []
+
+    def choose(now: Stage) -> Action:
+        boxes = find_boxes(*now.look()) if now.places(now.time)[0][1] < 4.2 else []
+        seen.append(bool(boxes))
+        return follower.act(boxes, now.pose, now.time, now.ranges(), now.collided)
+
+    record = stage.play(choose)
+    assert corner and seen[5] and not seen[-1]
+    last = record.people[0][max(k for k, there in enumerate(seen) if there)]
+    near = np.hypot(*(record.poses[:, :2] - last).T).min()
+    assert near < 0.6, "it went there"
+    assert record.poses[:, 1].max() > last[1] + 0.5, "and on, up the corridor"
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
@@ -227,14 +253,18 @@ def test_the_policy_reads_pictures_and_refuses_what_does_not_fit() -> None:
     people, rgb = stage.look()
     policy = PolicyBoxFollower("follower_small")
     policy.reset("Follow her.", np.random.default_rng(0))
-    seen = Observation(step=0, time=0.0, instruction="", rgb=rgb, more={"who": people})
+    more = {"pose": stage.pose, "ranges": stage.ranges().astype(np.float32)}
+    seen = Observation(step=0, time=0.0, instruction="", rgb=rgb, more={"who": people}, **more)
     assert policy.act(seen) == Action.FORWARD
     blank = Observation(step=0, time=0.0, instruction="", rgb=rgb)
     with pytest.raises(PolicyError, match="person picture"):
         policy.act(blank)
+    bare = Observation(step=0, time=0.0, instruction="", rgb=rgb, more={"who": people})
+    with pytest.raises(PolicyError, match="pose and ranges"):
+        policy.act(bare)
     policy.reset("Follow her.", np.random.default_rng(0))
     nobody = Observation(
-        step=0, time=0.0, instruction="", rgb=rgb, more={"who": np.zeros_like(people)}
+        step=0, time=0.0, instruction="", rgb=rgb, more={"who": np.zeros_like(people)}, **more
     )
     assert policy.act(nobody) == Action.STOP
 

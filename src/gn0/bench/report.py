@@ -27,6 +27,7 @@ from markupsafe import Markup
 from gn0.bench.breakdown import Bar, split_categories, split_lengths, split_tiers
 from gn0.bench.episode_clip import ClipScene, render_clip
 from gn0.bench.follow_metrics import FOLLOW_METRICS, FollowMetrics, score_steps
+from gn0.bench.follow_split import split_following, split_tables
 from gn0.bench.intervals import Interval
 from gn0.bench.metrics import METRICS, TOUCHED
 from gn0.bench.people_replay import PeopleReplay
@@ -70,6 +71,8 @@ from gn0.suites.profiles import DIFFERENCES
 from gn0.suites.run_files import RUN
 from gn0.suites.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
 from gn0.suites.track import read_track
+
+_SplitRow = dict[str, Any]
 
 TEMPLATES = Path(__file__).parent / "templates"
 STYLES = ("report.css", "follow.css")
@@ -270,6 +273,7 @@ def _render(
         ],
         metrics=columns,
         follow_metrics=FOLLOW_METRICS,
+        follow_split=_follow_tables(runs, episodes),
         groups=[
             {
                 "title": group.title,
@@ -475,6 +479,28 @@ def _following_cells(summary: RunSummary) -> list[dict[str, Any] | None] | None:
     if not isinstance(summary.following, dict):
         return None
     return [_cell(info.key, info.unit, summary.following) for info in FOLLOW_METRICS]
+
+
+def _follow_tables(
+    runs: Sequence[RunData], episodes: dict[str, Episode]
+) -> list[tuple[str, list[tuple[str, list[_SplitRow]]]]]:
+    """What is split by, and of each word of it a row of cells a run."""
+    splits = [split_following(run.results, episodes) for run in runs]
+    tables = split_tables([split if isinstance(split, dict) else None for split in splits])
+    return [
+        (
+            table["kind"],
+            [(word, [_split_row(own, number) for number, own in enumerate(found) if own])
+             for word, found in table["rows"]],
+        )
+        for table in tables
+    ]  # fmt: skip
+
+
+def _split_row(found: dict[str, Interval], number: int) -> _SplitRow:
+    """The cells of a run's measures, and of how many episodes they are."""
+    cells = [_cell(info.key, info.unit, found) for info in FOLLOW_METRICS]
+    return {"run": number, "count": found["SR"].count, "cells": cells}
 
 
 def _histograms(

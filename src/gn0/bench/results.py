@@ -246,6 +246,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         control: what was taken away from the policy.
         following: mean and interval by key of the measures of following; absent where nobody was
             followed.
+        following_by: the same by "level" and by "category" of the missions, then by the word of it.
     """
 
     policy: str
@@ -269,6 +270,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     isolation: Isolation | Literal[""] = ""
     control: Control = "none"
     following: dict[str, Interval] | msgspec.UnsetType = msgspec.UNSET
+    following_by: dict[str, dict[str, dict[str, Interval]]] | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def label(self) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from gn0.bench.follow_split import split_following
 from gn0.bench.identity import tell_identity
 from gn0.bench.ledger import Ledger
 from gn0.bench.protocol import protocol_card
@@ -277,6 +278,9 @@ class RunState:
             isolation=card.isolation,
             control=settings.control,
             following=aggregate_following(iterate_results(self.out)),
+            following_by=split_following(
+                iterate_results(self.out), {episode.id: episode for episode in self.episodes}
+            ),
         )
         run = {
             "sessions": self.sessions,

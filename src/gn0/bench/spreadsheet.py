@@ -10,6 +10,7 @@ import msgspec
 
 from gn0.bench.breakdown import category_of
 from gn0.bench.follow_metrics import FollowMetrics
+from gn0.bench.follow_split import KINDS, told_of
 from gn0.bench.metrics import EpisodeMetrics
 from gn0.bench.results import EpisodeResult
 from gn0.missions.episode import Episode, mission_name
@@ -20,7 +21,7 @@ COLUMNS = (
     *("status", "stopped", "reason", *_FIELDS),
 )
 _FOLLOW_FIELDS = FollowMetrics.__struct_fields__
-FOLLOW_COLUMNS = tuple(f"follow_{name}" for name in _FOLLOW_FIELDS)
+FOLLOW_COLUMNS = tuple(f"follow_{name}" for name in (*KINDS, *_FOLLOW_FIELDS))
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what a spreadsheet takes for a formula
 
 
@@ -54,7 +55,10 @@ def render_csv(
             if result.metrics is not None:
                 scores = [_number(getattr(result.metrics, field)) for field in _FIELDS]
             if following:
-                scores += _follow_cells(result.follow)
+                scores += [
+                    *(told_of(episode, kind) for kind in KINDS),
+                    *_follow_cells(result.follow),
+                ]
             writer.writerow(
                 [*map(_word, words), _number(result.stopped), _word(result.reason), *scores]
             )
@@ -63,7 +67,7 @@ def render_csv(
 
 def _follow_cells(follow: FollowMetrics | msgspec.UnsetType) -> list[str]:
     if not isinstance(follow, FollowMetrics):
-        return [""] * len(FOLLOW_COLUMNS)
+        return [""] * len(_FOLLOW_FIELDS)
     values = [getattr(follow, name) for name in _FOLLOW_FIELDS]
     return ["" if v is None else v if isinstance(v, str) else _number(v) for v in values]
 

@@ -56,6 +56,8 @@ class Args(Config, frozen=True):
         missions: goal, instruction, follow, with a comma between (goal,instruction).
         levels: who else is there in follow missions: single, distractors, ambiguous, with a comma
             between (all three).
+        judge: of the words of follow missions (none): pictures keeps those that pictures prove to
+            fit one person in the first second in which the agent sees that person.
         styles: styles of instructions: detailed, benchmark, or both (both).
         goals: objects, rooms, or both (both); or categories, of which any object will do: "Find a
             chair."
@@ -106,6 +108,7 @@ class Args(Config, frozen=True):
         str, tyro.conf.arg(metavar="KINDS", help_behavior_hint="", aliases=("--types",))
     ] = ""
     levels: Annotated[str, _optional("LEVELS")] = ""
+    judge: Annotated[Literal["none", "pictures"] | None, _optional("{none,pictures}")] = None
     styles: Annotated[str, _optional("STYLES")] = ""
     goals: Annotated[
         Literal["objects", "rooms", "both", "categories"] | None,
@@ -179,6 +182,8 @@ def read_settings(args: Args) -> MissionSettings:
     if args.levels:
         levels = [word.strip() for word in args.levels.split(",")]
         plain["follow"] = {**plain.get("follow", {}), "levels": levels}
+    if args.judge is not None:
+        plain["follow"] = {**plain.get("follow", {}), "judge": args.judge}
     if plain["missions"] == ["follow"] and args.minimum_length is None and not args.spec:
         plain["minimum_length"] = FOLLOW_LENGTH
     try:

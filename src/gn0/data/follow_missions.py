@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
+from gn0.data.follow_judge import REFUSED, SENTENCES, FollowJudge
 from gn0.data.follow_reference import FollowReference, FollowTracker, with_reference
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
@@ -40,6 +41,8 @@ from gn0.missions.generate.human_path import (
 from gn0.missions.generate.path_missions import UNSEEN, draw_light
 from gn0.missions.generate.path_pool import PathRecord, PathText
 from gn0.missions.generate.settings import MissionSettings
+from gn0.missions.language.follow_words import FollowText
+from gn0.missions.language.words_judge import Moment
 from gn0.progress import Progress, no_progress
 from gn0.scenes.scene import Scene
 from gn0.seeds import derive_seed, random_stream
@@ -68,11 +71,13 @@ class FollowMissions:
         missions: in the order of their paths.
         candidates: how many were drawn.
         fell: for which reasons how many fell.
+        refused: why the judge refused a sentence, and how often.
     """
 
     missions: tuple[FollowMission, ...]
     candidates: int
     fell: dict[str, int]
+    refused: dict[str, int] = field(default_factory=dict)
 
 
 def generate_scene(payload: dict[str, Any], progress: Progress = no_progress) -> dict[str, Any]:
@@ -107,7 +112,10 @@ def _joined(part: ScenePart, made: FollowMissions) -> ScenePart:
         texts=[*part.texts, *(mission.text for mission in made.missions)],
         tracks=tuple(mission.track for mission in made.missions),
         report=msgspec.structs.replace(
-            part.report, follow_candidates=made.candidates, follow_fell=made.fell
+            part.report,
+            follow_candidates=made.candidates,
+            follow_fell=made.fell,
+            fallbacks={**part.report.fallbacks, **made.refused},
         ),
     )
 
@@ -149,7 +157,9 @@ def make_follow_missions(
             if reason == "short":  # of a path, not of a draw
                 break
     progress("follow missions", len(records), len(records))
-    return FollowMissions(tuple(found), candidates, dict(sorted(fell.items())))
+    return FollowMissions(
+        tuple(found), candidates, dict(sorted(fell.items())), dict(sorted(maker.refused.items()))
+    )
 
 
 class _Maker:
@@ -168,6 +178,8 @@ class _Maker:
         self.seed, self.agent = seed, agent
         self.tracker = FollowTracker(scene, navigation, self.follow)
         self.company = CompanyPlanner(scene.grid)
+        self.refused: Counter[str] = Counter()
+        self._judge: FollowJudge | None = None
         self._ways: dict[str, F64] = {}
 
     def _way(self, record: PathRecord) -> F64:
@@ -207,7 +219,7 @@ class _Maker:
         offsets: tuple[float, float],
         rng: np.random.Generator,
     ) -> tuple[FollowMission | None, str]:
-        follow, unseen = self.follow, self._unseen(record)
+        follow, unseen = self.follow, self._unseen(record.split)
         level, count = draw_level(follow, rng)
         others = self.company.plan(path, start, offsets[0], count, follow, rng)
         if count and not others:
@@ -239,13 +251,9 @@ class _Maker:
         reason = self._meets(reference)
         if reason:
             return None, reason
-        told = tell_whom(
-            self.scene, self.navigation, path, people, records, start, offsets,
-            seed=derive_seed(self.seed, "follow words", record.path_id) % 2**31,
-            held_out=unseen, eye=self.agent.camera_height,
-        )  # fmt: skip
+        told, reason = self._tell(episode, path, records, offsets, reference)
         if told is None:
-            return None, "no words"
+            return None, reason
         mission = msgspec.structs.replace(mission, instruction=told.text)
         episode = with_reference(msgspec.structs.replace(episode, mission=mission), reference)
         text = PathText(
@@ -255,9 +263,41 @@ class _Maker:
         row = _row(episode, reference, told.decides, told.said)
         return FollowMission(check_episode(episode), text, row), ""
 
-    def _unseen(self, record: PathRecord) -> bool:
+    def _tell(
+        self,
+        episode: Episode,
+        path: HumanPath,
+        records: Sequence[dict[str, str]],
+        offsets: tuple[float, float],
+        reference: FollowReference,
+    ) -> tuple[FollowText | None, str]:
+        """(Words, ""), or (None, why there are none); those that the judge refuses are counted."""
+        judged = self.follow.judge == "pictures"
+        moments: list[Moment] = []
+        for attempt in range(SENTENCES if judged else 1):
+            more = (attempt,) if attempt else ()
+            told = tell_whom(
+                self.scene, self.navigation, path, episode.people, records, episode.start, offsets,
+                seed=derive_seed(self.seed, "follow words", episode.path_id, *more) % 2**31,
+                held_out=self._unseen(episode.split), eye=self.agent.camera_height,
+            )  # fmt: skip
+            if told is None:
+                return None, "no words"
+            if not judged:
+                return told, ""
+            if self._judge is None:
+                sight = self.tracker.sight(episode)
+                self._judge = FollowJudge(self.scene, self.navigation, sight)
+            moments = moments or self._judge.moments(episode, reference)
+            verdict = self._judge.judge(episode, moments, told)
+            if verdict.verdict == "fits":
+                return told, ""
+            self.refused[REFUSED[verdict.verdict]] += 1
+        return None, "not proven"
+
+    def _unseen(self, split: str) -> bool:
         phrasings = self.settings.phrasings
-        return record.split in UNSEEN if phrasings == "by_split" else phrasings == "held_out"
+        return split in UNSEEN if phrasings == "by_split" else phrasings == "held_out"
 
     def _meets(self, reference: FollowReference) -> str:
         """Whether somebody met the person after all, played with the agent; "" nobody."""

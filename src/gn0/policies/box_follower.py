@@ -11,21 +11,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.errors import PolicyError
-from gn0.geometry import wrap_angle
+from gn0.geometry import Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec
 from gn0.policies.person_boxes import PersonBox, PictureView, find_boxes
+from gn0.policies.person_tracker import FRESH, PersonTracker, Sighting, seen_from
 from gn0.sim.presets import find_preset
 from gn0.sim.state import Action, Observation
 
-TALL = 1.70  # m: how tall somebody is of whom no head and feet were seen at once
-FRESH = 1.0  # s after the last sight in which somebody must be near where it was
-STRANGE = 4.0  # of `unlikeness`: a box beyond it is somebody else
-LEARN = 0.1  # share of a look or a height that is new
-ROOM, AHEAD = 0.45, 35.0  # m, degrees: who is nearer ahead of its next step is let pass
+ROOM, AHEAD, NEAR = 0.30, 35.0, 1.4  # m, degrees, m: who is so near ahead is let pass
+PATIENT = 0.15  # m too far off from which on a way round is gone
 PATIENCE = 10  # steps that it waits for them, then it goes round
-GIVE_UP = 24  # turns that are looked round after a loss, a circle
+LOOK_AHEAD = 0.9  # m that must be free of walls in a direction that is walked
+ENOUGH = 0.5  # m that must be free along a way round something, where any way has so much
+SPARE = 0.03  # m that stay free ahead after a step: who leans on a wall gets stuck
+WIDE = 38.0  # degrees off the axis that a person may come by a detour
+REACHED = 0.3  # m from a place that is looked for
+BEYOND = 1.6  # m that it walks on from the last place, where the person went
+CIRCLE = 24  # turns of 15 degrees
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class BoxGains:
         ahead: … while the person is within this of the axis [degrees].
     """
 
-    distance: float = 1.5
+    distance: float = 1.2
     turn: float = 1.0
     turn_rate: float = 0.15
     move: float = 1.0
@@ -49,81 +54,31 @@ class BoxGains:
     ahead: float = 22.0
 
 
-@dataclass(frozen=True)
-class Sighting:
-    """The person as it was last seen, in the agent's frame of now.
+@dataclass(frozen=True, eq=False)
+class RangeRing:
+    """What is free around the agent.
 
     Attributes:
-        bearing, distance: [rad, left positive; m].
-        look: of its clothes, averaged.
-        tall: [m].
-        age: seconds since.
-        turning: rate of its bearing [rad/s] then.
-        leaving: rate of its distance [m/s] then.
+        ranges: [R] m to the first thing that its disc would touch; ray 0 straight ahead, then
+            counter-clockwise.
     """
 
-    bearing: float
-    distance: float
-    look: tuple[float, ...]
-    tall: float = TALL
-    age: float = 0.0
-    turning: float = 0.0
-    leaving: float = 0.0
+    ranges: NDArray[np.floating]
 
-    def after(self, action: Action, moved: bool, agent: AgentSpec) -> Sighting:
-        """The same place after an action of the agent's own, from where it then is."""
-        x = self.distance * math.cos(self.bearing)
-        y = self.distance * math.sin(self.bearing)
-        x -= agent.forward_step if action == Action.FORWARD and moved else 0.0
-        turns = (action == Action.LEFT) - (action == Action.RIGHT)
-        return Sighting(
-            wrap_angle(math.atan2(y, x) - turns * math.radians(agent.turn_degrees)),
-            math.hypot(x, y), self.look, self.tall, self.age + agent.step_seconds,
-            self.turning, self.leaving,
-        )  # fmt: skip
+    def free(self, angle: float) -> float:
+        """How far the agent can walk [m] at an angle from its heading [rad, left positive]."""
+        step = 2 * math.pi / len(self.ranges)
+        return float(self.ranges[round(angle / step) % len(self.ranges)])
 
-
-def unlikeness(box: PersonBox, view: PictureView, last: Sighting) -> float:
-    """How little a box is like the person last seen: by colours, and by place while it is fresh."""
-    colours = math.dist(box.look, last.look) / 45.0
-    if last.age > FRESH:
-        return colours * 2.0
-    off = abs(wrap_angle(view.bearing(box) - last.bearing)) / math.radians(12.0)
-    away = abs(math.log(max(view.distance(box, last.tall), 0.1) / max(last.distance, 0.1))) / 0.5
-    return colours + off + away
-
-
-def choose_box(
-    boxes: Sequence[PersonBox], view: PictureView, last: Sighting | None
-) -> PersonBox | None:
-    """The box of the person: before any sight the one nearest ahead, then the likest of all."""
-    if not boxes:
-        return None
-    if last is None:
-        return min(boxes, key=lambda b: abs(view.bearing(b)) + 0.1 * view.distance(b, TALL))
-    best = min(boxes, key=lambda b: unlikeness(b, view, last))
-    return best if unlikeness(best, view, last) <= STRANGE else None
-
-
-def sight(box: PersonBox, view: PictureView, last: Sighting | None, seconds: float) -> Sighting:
-    """The sighting that a box gives; `last` is the one before it, from where the agent is now."""
-    tall = TALL if last is None else last.tall
-    seen = view.tall(box)
-    if seen is not None and 1.2 <= seen <= 2.2:
-        tall = seen if last is None else tall + LEARN * (seen - tall)
-    bearing, distance = view.bearing(box), view.distance(box, tall)
-    if last is None or last.age > 2 * seconds:
-        return Sighting(bearing, distance, box.look, tall)
-    look = tuple(a + LEARN * (b - a) for a, b in zip(last.look, box.look, strict=True))
-    return Sighting(
-        bearing, distance, look, tall,
-        turning=wrap_angle(bearing - last.bearing) / seconds,
-        leaving=(distance - last.distance) / seconds,
-    )  # fmt: skip
+    def reach(self, angle: float) -> float:
+        """The same by the better one of the two rays beside the angle."""
+        at = angle * len(self.ranges) / (2 * math.pi)
+        low, high = math.floor(at) % len(self.ranges), math.ceil(at) % len(self.ranges)
+        return float(max(self.ranges[low], self.ranges[high]))
 
 
 def steer(seen: Sighting, gains: BoxGains, agent: AgentSpec) -> Action:
-    """What the two controllers do: turn first, walk, or stand (STOP).
+    """What the two controllers do in the open: turn first, walk, or stand (STOP).
 
     Each says how much is wanted; half a turn or half a step of that is acted upon.
     """
@@ -139,8 +94,8 @@ def steer(seen: Sighting, gains: BoxGains, agent: AgentSpec) -> Action:
 class BoxFollower:
     """Follows boxes step by step, and searches when there is none.
 
-    After a loss it walks to where the person was last, then turns round to the side on which it
-    went; after a circle it stands. A bump makes it turn aside and take two steps.
+    Walls that its range ring shows are gone round. After a loss it walks the way on which it saw
+    the person go, on where that way led, and turns round to the side on which the person went.
 
     Args:
         view: the camera.
@@ -149,70 +104,171 @@ class BoxFollower:
     """
 
     def __init__(self, view: PictureView, agent: AgentSpec, gains: BoxGains | None = None) -> None:
-        self.view, self.agent, self.gains = view, agent, gains or BoxGains()
-        self.last: Sighting | None = None
-        self._action = Action.STOP
+        self.agent, self.gains = agent, gains or BoxGains()
+        self.tracker = PersonTracker(view)
         self._queue: list[Action] = []
         self._turned = 0
-        self._bumps = 0
         self._waited = 0
-        self._side = Action.LEFT  # to which the person was last going
+        self._end: tuple[float, float] | None = None  # where a search has led
+        self._went = 0.0  # the direction in which the person was going [rad]
+        self._side = Action.LEFT
 
-    def act(self, boxes: Sequence[PersonBox], collided: bool) -> Action:
-        """The next action, from a picture's boxes and whether the last move was cut short."""
-        if self.last is not None:
-            self.last = self.last.after(self._action, not collided, self.agent)
-        box = choose_box(boxes, self.view, self.last)
-        bumped = collided and self._action == Action.FORWARD
+    def act(
+        self,
+        boxes: Sequence[PersonBox],
+        pose: Pose2D,
+        time: float,
+        ranges: NDArray[np.floating],
+        collided: bool = False,
+    ) -> Action:
+        """The next action.
+
+        Args:
+            boxes: of a picture.
+            pose: of the agent by its odometry.
+            time: since the episode began [s].
+            ranges: its range ring.
+            collided: whether the last move was cut short.
+        """
+        ring = RangeRing(ranges)
+        box = self.tracker.look(boxes, pose, time)
+        last = self.tracker.last
+        if last is None:
+            return Action.STOP
         if box is not None:
-            self.last = sight(box, self.view, self.last, self.agent.step_seconds)
-            self._turned = 0
-            going = self.last.bearing + self.last.turning * FRESH / 2
-            self._side = Action.LEFT if going >= 0 else Action.RIGHT
-        if bumped:
-            self._queue = self._aside()
+            self._turned, self._end = 0, None
+            self._note_way(last, pose)
+        if collided:  # away from what it leans on
+            turn = math.radians(self.agent.turn_degrees)
+            turns = max((k for k in range(-6, 7) if k), key=lambda k: (ring.free(k * turn), k))
+            back = Action.LEFT if turns > 0 else Action.RIGHT
+            self._queue = [*[back] * abs(turns), Action.FORWARD]
+        elif self._queue and self._queue[0] == Action.FORWARD and not self._may_step(ring):
+            self._queue = []
         if self._queue:
             action = self._queue.pop(0)
-        elif box is not None and self.last is not None:
-            action = steer(self.last, self.gains, self.agent)
-            self._bumps = 0 if action == Action.FORWARD and not collided else self._bumps
+        elif box is not None:
+            action = self._keep_to(last, pose, ring)
         else:
-            action = self._search()
-        if action == Action.FORWARD and any(self._in_the_way(other) for other in boxes):
+            action = self._search(last, pose, ring)
+        if action != Action.FORWARD:
+            return action
+        if any(self._in_the_way(other, last.tall, ring) for other in boxes):
             self._waited += 1
-            action = Action.STOP
-            if self._waited >= PATIENCE:  # they stand there: round them
-                self._queue, self._waited = self._aside(), 0
-        elif action == Action.FORWARD:
-            self._waited = 0
-        self._action = action
+            if self._waited <= PATIENCE:
+                return Action.STOP
+            return self._side  # they stand there: round them
+        self._waited = 0
         return action
 
-    def _in_the_way(self, box: PersonBox) -> bool:
-        """Whether somebody stands so near ahead that a step could touch."""
-        tall = TALL if self.last is None else self.last.tall
-        near = self.view.distance(box, tall) < self.agent.radius + self.agent.forward_step + ROOM
-        return near and abs(self.view.bearing(box)) < math.radians(AHEAD)
+    def _note_way(self, last: Sighting, pose: Pose2D) -> None:
+        """Where the person is going, and to which side of the agent."""
+        going = last.bearing + last.turning * FRESH / 2
+        if math.hypot(*last.velocity) > 0.2:
+            self._went = math.atan2(last.velocity[1], last.velocity[0])
+            if abs(going) < math.radians(5.0):
+                going = wrap_angle(self._went - pose.yaw)
+        self._side = Action.LEFT if going >= 0 else Action.RIGHT
 
-    def _aside(self) -> list[Action]:
-        """Away from the side of the person first, as a corner stands there; then the other side."""
-        bearing = 0.0 if self.last is None else self.last.bearing
-        away = Action.RIGHT if bearing > 0 else Action.LEFT
-        back = Action.LEFT if away == Action.RIGHT else Action.RIGHT
-        self._bumps += 1
-        side = away if self._bumps % 2 else back
-        return [side] * min(2 + self._bumps, 8) + [Action.FORWARD] * 2
+    def _keep_to(self, last: Sighting, pose: Pose2D, ring: RangeRing) -> Action:
+        """The controllers; by the person's own way where the straight one is not free."""
+        action = steer(last, self.gains, self.agent)
+        error = last.distance - self.gains.distance
+        if error <= self.agent.forward_step / 2:
+            return action if action != Action.FORWARD or self._may_step(ring) else Action.STOP
+        free = ring.reach(last.bearing) >= min(error, LOOK_AHEAD)
+        if free and (action != Action.FORWARD or self._may_step(ring)):
+            return action
+        if error < PATIENT:  # rather keep it in view
+            return action if action != Action.FORWARD else Action.STOP
+        return self._go_along(self._waypoint(last, pose, ring), pose, ring)
 
-    def _search(self) -> Action:
-        last = self.last
-        if last is None or self._turned >= GIVE_UP:
-            return Action.STOP
-        if self._turned == 0 and last.distance > self.agent.forward_step * 2:
-            if abs(last.bearing) > math.radians(self.agent.turn_degrees) / 2:
-                return Action.LEFT if last.bearing > 0 else Action.RIGHT
-            return Action.FORWARD
+    def _may_step(self, ring: RangeRing) -> bool:
+        return ring.free(0.0) >= self.agent.forward_step + SPARE
+
+    def _open_way(self, wanted: float, need: float, ring: RangeRing, wide: float) -> float | None:
+        """The heading [rad from now] nearest to the wanted one in which so much is free."""
+        turn = math.radians(self.agent.turn_degrees)
+        most = int(wide / turn) + 1
+        near = round(wanted / turn)
+        ways = [k * turn for k in range(near - most, near + most + 1)]
+        free = [way for way in ways if ring.free(way) >= max(need, self.agent.forward_step + SPARE)]
+        if not free:
+            return None
+        return min(free, key=lambda way: abs(way - wanted) + 0.1 * abs(way))
+
+    def _go(self, way: float, ring: RangeRing) -> Action:
+        """A turn towards a heading, or a step once it is ahead."""
+        if abs(way) > math.radians(self.agent.turn_degrees) / 2:
+            return Action.LEFT if way > 0 else Action.RIGHT
+        return Action.FORWARD if self._may_step(ring) else self._side
+
+    def _in_the_way(self, box: PersonBox, tall: float, ring: RangeRing) -> bool:
+        """Whether somebody stands so near ahead that a step could touch.
+
+        The ring shows it first, as a box that is half hidden seems nearer than it is.
+        """
+        bearing = self.tracker.view.bearing(box)
+        near = ring.free(bearing) < self.agent.forward_step + ROOM
+        near = near and self.tracker.view.distance(box, tall) < NEAR
+        return near and abs(bearing) < math.radians(AHEAD)
+
+    def _search(self, last: Sighting, pose: Pose2D, ring: RangeRing) -> Action:
+        """To where the person would be, on from there, then round and round."""
+        if self._turned == 0:
+            if self._end is None and self._arrived(last, pose, ring):
+                self._end = (pose.x, pose.y)
+            if self._end is None:
+                return self._go_along(self._waypoint(last, pose, ring), pose, ring)
+            gone = math.dist((pose.x, pose.y), self._end)
+            way = self._open_way(wrap_angle(self._went - pose.yaw), 0.5, ring, math.radians(60.0))
+            if gone < BEYOND and way is not None:
+                return self._go(way, ring)
         self._turned += 1
+        if self._turned > CIRCLE:  # on to somewhere else, and look round again
+            self._turned, self._end = 0, (pose.x, pose.y)
+            self._went = pose.yaw + self._widest(ring)
         return self._side
+
+    def _arrived(self, last: Sighting, pose: Pose2D, ring: RangeRing) -> bool:
+        near = math.dist((pose.x, pose.y), last.place) < REACHED
+        bearing, distance = seen_from(pose, last.place)
+        return near or (distance < 1.0 and ring.free(bearing) < 0.1)
+
+    def _waypoint(self, last: Sighting, pose: Pose2D, ring: RangeRing) -> tuple[float, float]:
+        """The latest place of the person's trail that can be walked to straight away."""
+        trail = [(x, y) for _, x, y in self.tracker.trail]
+        away = [math.dist(place, (pose.x, pose.y)) for place in trail]
+        ahead = trail[int(np.argmin(away)) :]  # what lies behind was walked
+        for place in reversed(ahead):
+            bearing, distance = seen_from(pose, place)
+            if distance > REACHED and ring.reach(bearing) >= distance - 0.05:
+                return place
+        onward = (place for place in ahead if seen_from(pose, place)[1] > 2 * REACHED)
+        return next(onward, last.place)
+
+    def _go_along(self, place: tuple[float, float], pose: Pose2D, ring: RangeRing) -> Action:
+        """A step towards a place, or the first of the turns that lead there."""
+        bearing, distance = seen_from(pose, place)
+        if abs(bearing) <= math.radians(self.agent.turn_degrees) / 2 and ring.free(0.0) >= min(
+            distance, ENOUGH
+        ):
+            return Action.FORWARD
+        wide = math.radians(75.0)
+        way = self._open_way(bearing, min(distance, ENOUGH), ring, wide)
+        if way is None:
+            way = self._open_way(bearing, 0.0, ring, math.radians(120.0))
+        if way is None:
+            return self._go(bearing, ring)
+        turns = round(way / math.radians(self.agent.turn_degrees))
+        side = Action.LEFT if turns > 0 else Action.RIGHT
+        # once begun it is gone through with: two headings would be tried in turns for ever
+        self._queue = [*[side] * abs(turns), Action.FORWARD, Action.FORWARD]
+        return self._queue.pop(0)
+
+    def _widest(self, ring: RangeRing) -> float:
+        """The heading [rad from now] in which most is free."""
+        return wrap_angle(2 * math.pi * int(np.argmax(ring.ranges)) / len(ring.ranges))
 
 
 class PolicyBoxFollower:
@@ -227,7 +283,7 @@ class PolicyBoxFollower:
     """
 
     name = "box_follower"
-    sensors: frozenset[str] = frozenset({"rgb", "who"})
+    sensors: frozenset[str] = frozenset({"rgb", "who", "pose", "ranges"})
 
     def __init__(self, preset: str = "follower", distance: float = BoxGains.distance) -> None:
         self._preset = find_preset(preset)
@@ -243,13 +299,18 @@ class PolicyBoxFollower:
 
         Raises:
             PolicyError: no person picture, one of another size than the colour picture, or one of
-                another camera than its own.
+                another camera than its own; or no odometry or range ring.
         """
         people, rgb = observation.read("who"), observation.rgb
         if people is None or rgb is None or people.shape != rgb.shape[:2]:
             raise PolicyError(
                 "box_follower needs a person picture of the size of the colour picture",
                 remedy="give the suite a camera whose two pictures are of one size",
+            )
+        if observation.pose is None or observation.ranges is None:
+            raise PolicyError(
+                "box_follower needs the sensors pose and ranges",
+                remedy="run it with `gn0 bench run`, which gives a policy what it asks for",
             )
         if self._follower is None:
             camera, body = self._preset.rgb, self._preset.agent
@@ -264,7 +325,10 @@ class PolicyBoxFollower:
                 )
             view = PictureView(width, height, camera.hfov, body.camera_height)
             self._follower = BoxFollower(view, body, self._gains)
-        return self._follower.act(find_boxes(people, rgb), observation.collided)
+        return self._follower.act(
+            find_boxes(people, rgb), observation.pose, observation.time,
+            observation.ranges, observation.collided,
+        )  # fmt: skip
 
 
 def _preset_of(width: int, height: int) -> str:

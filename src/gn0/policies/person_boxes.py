@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.avatars.colour_names import lab_of
+from gn0.gaussians.film import decode_srgb
 from gn0.geometry import U8
 
 SPECK = 12  # px: somebody of fewer pixels is overlooked
@@ -24,8 +26,8 @@ class PersonBox:
     Attributes:
         left, top, right, bottom: of the box [px], right and bottom just outside it.
         pixels: of the person in it.
-        look: mean colour of the upper and of the lower half of the box's pixels (r, g, b, r, g, b),
-            0..255; zeros where the picture has no colours.
+        look: median colour of the upper and of the lower half of the box's pixels
+            (L*, a*, b*, L*, a*, b*); zeros where the picture has no colours.
     """
 
     left: int
@@ -61,9 +63,18 @@ def find_boxes(people: NDArray[np.integer], rgb: U8 | None = None) -> list[Perso
 
 def _look(mask: NDArray[np.bool_], rgb: U8, middle: int) -> tuple[float, ...]:
     halves = (rgb[:middle][mask[:middle]], rgb[middle:][mask[middle:]])
-    whole = rgb[mask].mean(axis=0)
-    means = [half.mean(axis=0) if len(half) else whole for half in halves]
-    return tuple(float(v) for v in np.concatenate(means))
+    colours = [np.median(half if len(half) else rgb[mask], axis=0) for half in halves]
+    linear = decode_srgb(np.array(colours, np.float32) / np.float32(255.0))
+    return tuple(lab_of(linear).ravel().tolist())
+
+
+def looks_apart(one: tuple[float, ...], other: tuple[float, ...]) -> float:
+    """How far two looks are apart: mean difference of the halves, lightness counting half.
+
+    The light of a place changes how light clothes look far more than their hue.
+    """
+    apart = np.subtract(one, other).reshape(2, 3) * (0.5, 1.0, 1.0)
+    return float(np.hypot.reduce(apart, axis=1).mean())
 
 
 @dataclass(frozen=True)

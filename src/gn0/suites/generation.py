@@ -98,10 +98,10 @@ _DECIDING = (
     "render/light.py", "sim/presets.py", "suites/generation.py", "suites/generation_folder.py",
 )  # fmt: skip
 _DECIDING_FOLLOW = (
-    "avatars/likeness.py", "avatars/wardrobe.py",
-    "data/expert_labels.py", "data/follow.py", "data/follow_missions.py", "data/follow_oracle.py",
-    "data/follow_reference.py", "sim/collision.py", "sim/kinematics.py", "sim/people.py",
-    "sim/simulator.py", "sim/ticks.py",
+    "avatars", "gaussians/film.py",
+    "data/expert_labels.py", "data/follow.py", "data/follow_judge.py", "data/follow_missions.py",
+    "data/follow_oracle.py", "data/follow_reference.py", "render/cpu.py", "sim/collision.py",
+    "sim/kinematics.py", "sim/people.py", "sim/simulator.py", "sim/ticks.py",
 )  # fmt: skip
 # units of work by what is made; data is a floor above, and known by name as plug-ins are
 _UNIT = "gn0.suites.generation:generate_scene"

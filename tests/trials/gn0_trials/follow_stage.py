@@ -104,7 +104,8 @@ class Stage:
             if ahead < 0.15:
                 continue
             middle, half = WIDTH / 2 - FOCAL * left / ahead, FOCAL * HALF / ahead
-            a, b = max(round(middle - half), 0), min(round(middle + half), WIDTH)
+            a = min(max(round(middle - half), 0), WIDTH)
+            b = min(max(round(middle + half), a), WIDTH)  # off to the left: nothing
             top = max(round(HEIGHT / 2 - FOCAL * (self.tall - BODY.camera_height) / ahead), 0)
             foot = min(round(HEIGHT / 2 + FOCAL * BODY.camera_height / ahead), HEIGHT)
             waist = HEIGHT / 2 + FOCAL * (BODY.camera_height - 0.9) / ahead
@@ -117,6 +118,19 @@ class Stage:
             rgb[mask & (rows < waist)[:, None]] = upper
             rgb[mask & (rows >= waist)[:, None]] = lower
         return numbers, rgb
+
+    def ranges(self) -> NDArray[np.float64]:
+        """The range ring [72] m: to walls, and to discs of people, as far as the agent can go."""
+        x, y, yaw = self.pose
+        angles = yaw + 2 * np.pi * np.arange(72) / 72
+        free = cast_rays(self.navigation.inflated, x, y, angles, 10.0).astype(np.float64)
+        for px, py in self.places(self.time):
+            along = (px - x) * np.cos(angles) + (py - y) * np.sin(angles)
+            aside = (px - x) * np.sin(angles) - (py - y) * np.cos(angles)
+            chord = np.sqrt(np.maximum((BODY.radius + 0.25) ** 2 - aside**2, 0.0))
+            met = (chord > 0) & (along > 0)
+            free = np.where(met, np.minimum(free, np.maximum(along - chord, 0.0)), free)
+        return free
 
     def _away(self, place: tuple[float, float]) -> float:
         return math.dist(place, (self.pose.x, self.pose.y))

@@ -44,6 +44,7 @@ FOLLOW_REASONS = {
     "near others too long": "it was nearer than 0.8 m to somebody else as long",
     "met by somebody": "somebody came nearer than 0.6 m to the person",
     "no words": "no words fit the person and nobody else",
+    "not proven": "the judge refused all sentences that were written (see fallbacks)",
 }
 
 
@@ -71,6 +72,8 @@ class FollowSettings(Config, frozen=True):
         attempts: draws for each path.
         cast: how many people they are drawn from; the last fifth is for unseen splits alone.
         cast_seed: of those people.
+        judge: pictures draws what the agent sees in the first second in which it sees the person,
+            and refuses words that do not fit the person and nobody else in sight.
     """
 
     levels: tuple[FollowLevelName, ...] = get_args(FollowLevelName)
@@ -92,6 +95,7 @@ class FollowSettings(Config, frozen=True):
     attempts: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4
     cast: Annotated[int, msgspec.Meta(ge=20, le=2000)] = 200
     cast_seed: Annotated[int, msgspec.Meta(ge=0, le=2**31)] = 0
+    judge: Literal["none", "pictures"] = "none"
 
     def __post_init__(self) -> None:
         if not self.levels or len(set(self.levels)) != len(self.levels):

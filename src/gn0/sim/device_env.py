@@ -8,6 +8,10 @@
 Environment i, seeded with s, plays exactly what `VectorEnv` seeded with s plays: the same episodes,
 poses, collisions, distances and rewards, to the bit. A step waits for nothing: it is queued behind
 what was queued before, and so are the results.
+
+Where episodes have people, infos also hold `people`, `hit_person`, `hit_by` and `hit_tick`, as
+those of `VectorEnv` do, on the device; `hit_by` is a number there: 0 nobody, 1 the agent, 2 the
+person.
 """
 
 from __future__ import annotations
@@ -29,13 +33,19 @@ from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.missions.people import refuse_people
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
+from gn0.sim.device_eyes import (
+    AgentsThere,
+    EyesDevice,
+    device_reader,
+    refuse_host_sensors,
+    refuse_people_seen,
+)
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
+from gn0.sim.device_layout import CROWD_FIELDS
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
@@ -105,7 +115,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     Raises:
         ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
             continuous actions.
-        EpisodeError: no episode, or one of a scene that is not here.
+        EpisodeError: no episode, one of a scene that is not here, or one with people where sensors
+            would draw them.
         SimError: num_envs < 1 or too many, or an agent whose turns never come full circle.
         DeviceError: no such device here. DeviceMemoryError: it is too small.
         StorageError, FormatError: a file is missing or broken.
@@ -159,7 +170,6 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
-        refuse_people(self.tasks.episodes, "environments on a device")
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset, history_tile=history_tile)
         view = read_map_view(map_view)
@@ -168,6 +178,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         )
         carried = config.carried
         refuse_host_sensors(carried.sensors)
+        refuse_people_seen(self.tasks.episodes, carried.sensors)
         self._at_once = tuple(
             (s.name, device_reader(s, config)) for s in carried.sensors if s.many is not None
         )
@@ -261,11 +272,14 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
     @property
     def memory(self) -> dict[str, int]:
-        """Bytes on the device: maps and fields that are there, and pictures of all agents."""
+        """Bytes on the device: maps and fields that are there, pictures of all agents, people."""
         pictures = (
             0 if self._eyes is None else self._eyes.bytes_of(self.num_envs, self.final_pictures)
         )
-        return {"maps and fields": self.simulator.store.pool.held, "pictures": pictures}
+        found = {"maps and fields": self.simulator.store.pool.held, "pictures": pictures}
+        if self.simulator.company:
+            found["people"] = self.simulator.company.nbytes
+        return found
 
     def reset(
         self,
@@ -616,7 +630,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         for value in many:
             if isinstance(value, Episode):
                 self._told.check(value)
-                numbers.append(int(self.simulator.store.add([value])[0]))
+                refuse_people_seen([value], self.simulator.config.carried.sensors)
+                numbers.append(int(self.simulator.add_episodes([value])[0]))
                 continue
             index = known.get(value, -1) if isinstance(value, str) else int(value)
             if not 0 <= index < len(own):
@@ -652,8 +667,14 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 "pose": outputs["pose"],
                 "distance_to_goal": outputs["distance"],
                 "success": self._nobody,  # whoever succeeded is in the next episode already
+                **self._tell_more(""),
             }
         )
+
+    def _tell_more(self, prefix: str) -> dict[str, DeviceArray]:
+        """What else infos hold; with prefix `final_`, of episodes that ended."""
+        told = self.simulator.company.outputs
+        return {name: told[prefix + name] for name, _ in CROWD_FIELDS if told}
 
     def _final(self) -> dict[str, Any]:
         """The last of episodes that ended: arrays [N, …], zero elsewhere."""
@@ -668,6 +689,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             "pose": outputs["final_pose"],
             "distance_to_goal": outputs["final_distance"],
             "success": outputs["final_success"],
+            **self._tell_more("final_"),
         }
         return {
             "final_obs": ObservationsDevice(self._layout.hand_out(seen)),

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray, Kernel
-from gn0.errors import ConfigError, SimError
+from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
-from gn0.missions.episode import AgentSpec
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import Renderer
@@ -637,6 +637,22 @@ def refuse_host_sensors(sensors: Iterable[Sensor]) -> None:
                 f"sensor {sensor.name!r} does not say how a device reads it",
                 remedy="use VectorEnv, or give the sensor a device=",
             )
+
+
+def refuse_people_seen(episodes: Iterable[Episode], sensors: Iterable[Sensor]) -> None:
+    """Refuse episodes with people where sensors would have to draw them.
+
+    Raises:
+        EpisodeError: names the first one that has people, and the sensors.
+    """
+    drawn = sorted(sensor.name for sensor in sensors if sensor.draws or sensor.views)
+    found = next((episode for episode in episodes if episode.people), None) if drawn else None
+    if found is not None:
+        raise EpisodeError(
+            f"has {len(found.people)} people, and sensors {drawn} do not draw them on a device yet",
+            where=f"episode {found.id!r}",
+            remedy="leave these sensors out, or use VectorEnv, which draws people",
+        )
 
 
 def device_reader(sensor: Sensor, settings: SensorConfig) -> Callable[[AgentsDevice], DeviceArray]:

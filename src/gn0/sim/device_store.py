@@ -23,12 +23,15 @@ from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.geometry import F64, U8
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
+from gn0.missions.people import check_people_walls
 from gn0.scenes.scene import Scene
 from gn0.sim.collision import check_places
 from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
+from gn0.sim.device_people import mark_walls, pack_routes
 from gn0.sim.device_pool import Block, PoolDevice, store_size
 from gn0.sim.device_records import StoreRows
+from gn0.sim.follow_tally import follow_target
 from gn0.sim.ground import (
     Destination,
     EpisodeNumbers,
@@ -118,6 +121,7 @@ class EpisodeStore:
         self._checked: set[int] = set()
         self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
         self._scenes: dict[str, _Held] = {}
+        self._walls: dict[str, _Held] = {}  # by scene, where people are
         self._looks: dict[str, _Held] = {}
         self._look_names: list[str | None] = []  # by number; None: free
         self._in_play: list[str | None] | None = None  # forgotten when references change
@@ -308,7 +312,9 @@ class EpisodeStore:
         episode = self.episodes[number]
         if number not in self._checked:
             check_episode(episode)
-            check_places(self.ground.open(episode.scene_id), episode, self.agent.radius)
+            ground = self.ground.open(episode.scene_id)
+            check_places(ground, episode, self.agent.radius)
+            check_people_walls(episode.people, ground.grid, f"episode {episode.id!r}")
             self._checked.add(number)
         used: list[_Held] = []  # held while others are brought
         try:
@@ -328,13 +334,20 @@ class EpisodeStore:
                 look = self._looks.get(name) or self._bring_look(name)
                 look.users += 1
                 used.append(look)
-            own = self._build_headings(episode, base)
+            walls = None
+            if episode.people:
+                walls = self._walls.get(episode.scene_id) or self._bring_walls(episode.scene_id)
+                walls.users += 1
+                used.append(walls)
+            own = self._build_own(episode, base)
         except BaseException:
             for held in used:
                 held.users -= 1
             self._sweep()
             raise
         slot = self._seat(number, scene, field, own, look)
+        if walls is not None:
+            self._seat_people(slot, episode, walls, own)
         if base is None:
             self._slot_of[number] = slot
         else:
@@ -351,10 +364,11 @@ class EpisodeStore:
         slot = int(free[0])
         episode = self.episodes[number]
         row = self._rows[slot]
+        row["persons"], row["stays"] = 0, isinstance(episode.mission, MissionFollow)
         row["compact"], row["wide"] = scene.pointers[0], field.wide
         row["labels"], row["roots"] = field.pointers
         row["headings"] = own.pointers[0]
-        row["directions"] = own.pointers[1] if len(own.pointers) > 1 else 0
+        row["directions"] = own.pointers[1] if self._rays is not None else 0
         row["x"], row["y"], row["resolution"] = scene.frame
         row["rows"], row["cols"] = scene.shape
         row["start_x"], row["start_y"] = episode.start[:2]
@@ -369,6 +383,16 @@ class EpisodeStore:
         self._own[slot] = own
         self._number_of[slot] = number
         return slot
+
+    def _seat_people(self, slot: int, episode: Episode, walls: _Held, own: _Held) -> None:
+        """Write where the people of an episode are found; their routes are the last of its own."""
+        row = self._rows[slot]
+        row["walls"], row["persons"] = walls.pointers[0], len(episode.people)
+        row["people"], row["lines"], row["points"], row["holds"] = own.pointers[-4:]
+        if episode.followed is not None:
+            target = follow_target(episode)
+            row["followed"] = target.row
+            row["keep_distance"], row["keep_lateral"] = target.distance, target.lateral
 
     def _grow(self) -> None:
         size = len(self._rows)
@@ -439,6 +463,8 @@ class EpisodeStore:
         self.pool.give(self._own.pop(slot).block)
         self._fields[destination_of(episode)].users -= 1
         self._scenes[episode.scene_id].users -= 1
+        if episode.people:
+            self._walls[episode.scene_id].users -= 1
         if self._pictures is not None:
             self._looks[name_look(episode)].users -= 1
         self._sweep(episode)
@@ -459,12 +485,18 @@ class EpisodeStore:
         for scene_id in list(self._scenes) if episode is None else [episode.scene_id]:
             if not self._scenes[scene_id].users:
                 self.pool.give(self._scenes.pop(scene_id).block)
+            if scene_id in self._walls and not self._walls[scene_id].users:
+                self.pool.give(self._walls.pop(scene_id).block)
 
     def _bring_scene(self, scene_id: str) -> _Held:
         grid = self.ground.inflated(scene_id)
         held = self._put(number_cells(grid))
         held.frame, held.shape = (*map(float, grid.origin), float(grid.resolution)), grid.shape
         self._scenes[scene_id] = held
+        return held
+
+    def _bring_walls(self, scene_id: str) -> _Held:
+        held = self._walls[scene_id] = self._put(mark_walls(self.ground.open(scene_id).grid))
         return held
 
     def _bring_look(self, name: str) -> _Held:
@@ -490,18 +522,19 @@ class EpisodeStore:
         held.wide = field.labels.dtype == np.uint32
         return held
 
-    def _build_headings(self, episode: Episode, base: float | None) -> _Held:
-        """Headings after each number of turns, and the directions of range rays from each."""
+    def _build_own(self, episode: Episode, base: float | None) -> _Held:
+        """Headings after each number of turns, directions of range rays from each, routes."""
         if base is not None:
             episode = msgspec.structs.replace(episode, start=(*episode.start[:2], base))
         headings = list_headings(episode, self.agent)
+        routes = pack_routes(episode.people) if episode.people else ()
         if self._rays is None:
-            return self._put(headings)
+            return self._put(headings, *routes)
         angles = (headings[:, :1] + self._rays).ravel().tolist()
         directions = np.empty((len(angles), 2))
         directions[:, 0] = list(map(math.cos, angles))
         directions[:, 1] = list(map(math.sin, angles))
-        return self._put(headings, directions)
+        return self._put(headings, directions, *routes)
 
     def _put(self, *arrays: NDArray[Any]) -> _Held:
         block = self._take(max(store_size(*arrays), 1))

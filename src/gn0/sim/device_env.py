@@ -45,8 +45,8 @@ from gn0.sim.device_eyes import (
     refuse_people_seen,
 )
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
-from gn0.sim.device_layout import CROWD_FIELDS
 from gn0.sim.device_motion import MotionDevice
+from gn0.sim.device_people import CompanyDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
 from gn0.sim.device_walkers import WalkersDevice
@@ -127,6 +127,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
+    _company: type[CompanyDevice] = CompanyDevice
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -178,7 +180,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         )
         carried = config.carried
         refuse_host_sensors(carried.sensors)
-        refuse_people_seen(self.tasks.episodes, carried.sensors)
+        self._carried = carried
+        self._admit(self.tasks.episodes)
         self._at_once = tuple(
             (s.name, device_reader(s, config)) for s in carried.sensors if s.many is not None
         )
@@ -223,6 +226,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             host_memory=host_memory,
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
+            company=self._company,
         )
         self.copy, self.channels_first = copy, channels_first
         moved = picture_names(self.sensors, camera) if channels_first else ()
@@ -591,6 +595,14 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._seen, self._eyes, self._expert, self._begun = {}, None, None, False
         del self.simulator, self._now, self._last, self._told, self._layout, self._states
 
+    def _admit(self, episodes: Sequence[Episode]) -> None:
+        """Refuse episodes that cannot be played here.
+
+        Raises:
+            EpisodeError: names the first of them.
+        """
+        refuse_people_seen(episodes, self._carried.sensors)
+
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
             return self._everyone
@@ -630,7 +642,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         for value in many:
             if isinstance(value, Episode):
                 self._told.check(value)
-                refuse_people_seen([value], self.simulator.config.carried.sensors)
+                self._admit([value])
                 numbers.append(int(self.simulator.add_episodes([value])[0]))
                 continue
             index = known.get(value, -1) if isinstance(value, str) else int(value)
@@ -667,14 +679,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 "pose": outputs["pose"],
                 "distance_to_goal": outputs["distance"],
                 "success": self._nobody,  # whoever succeeded is in the next episode already
-                **self._tell_more(""),
+                **self.simulator.company.tell(),
             }
         )
-
-    def _tell_more(self, prefix: str) -> dict[str, DeviceArray]:
-        """What else infos hold; with prefix `final_`, of episodes that ended."""
-        told = self.simulator.company.outputs
-        return {name: told[prefix + name] for name, _ in CROWD_FIELDS if told}
 
     def _final(self) -> dict[str, Any]:
         """The last of episodes that ended: arrays [N, …], zero elsewhere."""
@@ -689,7 +696,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             "pose": outputs["final_pose"],
             "distance_to_goal": outputs["final_distance"],
             "success": outputs["final_success"],
-            **self._tell_more("final_"),
+            **self.simulator.company.tell("final_"),
         }
         return {
             "final_obs": ObservationsDevice(self._layout.hand_out(seen)),

@@ -110,6 +110,15 @@ class CompanyDevice:
         """Kernels of people."""
         return self._kernels
 
+    @property
+    def arrays(self) -> dict[str, DeviceArray]:
+        """What else of agents [N, …] a saved state holds, by name."""
+        return {}
+
+    def tell(self, prefix: str = "") -> dict[str, DeviceArray]:
+        """What infos hold of people [N, …]; with prefix `final_`, of episodes that ended."""
+        return {name: self.outputs[prefix + name] for name, _ in CROWD_FIELDS if self.outputs}
+
     def make_room(self, episodes: Sequence[Episode], body: AgentSpec) -> None:
         """Have room for the people of all of these episodes; nobody is moved."""
         places = max((len(episode.people) for episode in episodes), default=0)

@@ -73,6 +73,7 @@ class SimulatorDevice:
         host_memory: bytes of fields kept on the host.
         ahead: draws held ready for each.
         pictures: look → static map pictures, when they are wanted.
+        company: what people around agents are to them.
 
     Attributes:
         outputs: what the last step or reset wrote, [N, …] by name; see `device_layout`.
@@ -98,6 +99,7 @@ class SimulatorDevice:
         host_memory: int,
         ahead: int,
         pictures: Callable[[str], MapPictures] | None = None,
+        company: type[CompanyDevice] = CompanyDevice,
     ) -> None:
         if not 1 <= count <= AGENTS_MAX or max_steps < 1 or not 1 <= ahead <= 1024:
             raise SimError(
@@ -116,7 +118,7 @@ class SimulatorDevice:
             rays=rays,
             pictures=pictures,
         )
-        self.company = CompanyDevice(self)
+        self.company = company(self)
         self.numbers = self.add_episodes(episodes)
         self.queue = EpisodeQueue(count, ahead, self.numbers, self.store)
         self.state = {name: device.zeros((count, *shape), kind) for name, kind, shape in _STATE}

@@ -419,6 +419,7 @@ class StatesDevice:
     def _state(self) -> dict[str, DeviceArray]:
         """The arrays [N, …] that an agent's state is in, beside its episode."""
         found = {name: self._simulator.state[name] for name in _ROWS}
+        found |= self._simulator.company.arrays
         if self._simulator.views is not None:
             found["views"] = self._simulator.views
         rings = self._rings()

@@ -129,7 +129,8 @@ class FollowTally:
         rules = self._rules
         dx, dy = people[:, 0] - poses[:, 0], people[:, 1] - poses[:, 1]
         distance = np.sqrt(dx * dx + dy * dy)
-        ahead = dx * np.cos(poses[:, 2]) + dy * np.sin(poses[:, 2])
+        ahead = np.empty(len(poses))
+        _read_ahead(poses, dx, dy, ahead)
         faced = (ahead >= self._aligned * distance) & sight
         follows = faced & (distance <= rules.reach)
         self._steps += 1
@@ -153,6 +154,16 @@ class FollowTally:
             truncated=end == STEPS,
             success=((end == STEPS) & follows) | ((end == OVER) & kept),
         )
+
+
+@njit
+def _read_ahead(poses, dx, dy, out):  # type: ignore[no-untyped-def]
+    """How far ahead of agents [N, 3] others at (dx, dy) from them are [m], by `math`'s bits.
+
+    Those of the tables that a device has; NumPy's own sines may differ in the last one.
+    """
+    for k in range(len(out)):
+        out[k] = dx[k] * math.cos(poses[k, 2]) + dy[k] * math.sin(poses[k, 2])
 
 
 def _measure_gap(poses: F64, people: F64, keep: F64) -> F64:

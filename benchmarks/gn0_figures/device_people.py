@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import msgspec
 import numpy as np
 
+from gn0.missions.episode import Episode
+from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.follow_device import FollowVectorEnvDevice
@@ -38,7 +43,7 @@ def measure_people(ctx: FigureContext) -> list[FigureRow]:
         f"{len(scenes)} floor plans, {len(episodes)} episodes, {count} agents, body 0.25 m, 15°, "
         "0.2 s, goal_vector; random walk with 1 % STOP, actions on the device, autoresets included"
     )
-    settings = {"agent": FOLLOWER, "sensors": ("goal_vector",)}
+    settings: dict[str, Any] = {"agent": FOLLOWER, "sensors": ("goal_vector",)}
     for people in (0, PEOPLE) if tiny else (0, 1, 5, PEOPLE):
         some = [msgspec.structs.replace(e, people=e.people[:people]) for e in episodes]
         env = VectorEnvDevice(count, scenes, episodes=some, device=ctx.device, **settings)
@@ -65,9 +70,15 @@ def measure_people(ctx: FigureContext) -> list[FigureRow]:
     return rows
 
 
-def _compare(ctx: FigureContext, count: int, steps: int, scenes, episodes) -> FigureRow:  # type: ignore[no-untyped-def]
+def _compare(
+    ctx: FigureContext,
+    count: int,
+    steps: int,
+    scenes: Sequence[Scene],
+    episodes: Sequence[Episode],
+) -> FigureRow:
     """Agents whose pose, reward, people or ring are not the CPU's to the bit."""
-    settings = {"episodes": episodes, "agent": FOLLOWER, "sensors": ("ranges",)}
+    settings: dict[str, Any] = {"episodes": episodes, "agent": FOLLOWER, "sensors": ("ranges",)}
     there = VectorEnvDevice(count, scenes, device=ctx.device, **settings)
     here = VectorEnv(count, scenes, **settings)
     there.reset(seed=1)

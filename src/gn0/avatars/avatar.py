@@ -100,7 +100,7 @@ class Avatar:
             )
 
     @cached_property
-    def _kept(self) -> tuple[F32, F32, NDArray[np.int32], F32]:
+    def kept(self) -> tuple[F32, F32, NDArray[np.int32], F32]:
         """What no pose changes, the shadow's splats last: scales, SH, parts, albedo.
 
         All posed clouds share these arrays, which is most of what they are.
@@ -116,6 +116,22 @@ class Avatar:
         for array in kept:
             array.setflags(write=False)
         return kept
+
+    def place_joints(
+        self,
+        pose: NDArray[np.floating] | None = None,
+        shift: NDArray[np.floating] | None = None,
+    ) -> tuple[F64, F64, F64]:
+        """What a pose does to each joint; see `pose` for arguments and errors.
+
+        Returns:
+            Transforms from rest to GN0's axes [55, 3, 4], their turns (w, x, y, z) [55, 4], and
+            posed joints in the body's axes [55, 3] m.
+        """
+        angles = np.zeros((55, 3)) if pose is None else check_pose(pose)
+        transforms, joints = pose_joints(self.joints, angles, shift)
+        world = np.einsum("ab,jbc->jac", TO_WORLD, transforms)
+        return world, quaternion_from_rotation(world[:, :, :3]), joints
 
     def pose(
         self,
@@ -134,10 +150,7 @@ class Avatar:
         Raises:
             DataError: the pose has another number of joints, or is not finite.
         """
-        angles = np.zeros((55, 3)) if pose is None else check_pose(pose)
-        transforms, joints = pose_joints(self.joints, angles, shift)
-        world = np.einsum("ab,jbc->jac", TO_WORLD, transforms)
-        turns = quaternion_from_rotation(world[:, :, :3])
+        world, turns, joints = self.place_joints(pose, shift)
         count = len(self)
         total = count + SHADOWS if shadow else count
         means, quats, normals = (np.empty((total, k), np.float32) for k in (3, 4, 3))
@@ -151,7 +164,7 @@ class Avatar:
             below = contact_shadow(joints)
             means[count:], quats[count:], normals[count:] = below.means, below.quats, below.normal
             opacities[count:] = below.opacities
-        scales, sh, label, albedo = self._kept
+        scales, sh, label, albedo = self.kept
         return GaussianCloud(
             means=means,
             quats=quats,

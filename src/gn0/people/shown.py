@@ -8,10 +8,12 @@ drawn where its phase says, at most 1.2 cm from where it is, so that a planted f
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from gn0.avatars.avatar import Avatar
 from gn0.avatars.motion.gait import PHASES, SPEEDS
 from gn0.avatars.motion.library import LOOKS, look_class, speed_class, turn_head
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
@@ -120,8 +122,44 @@ def _stand(person: EpisodePerson, actor: Actor, seconds: float, seed: int) -> tu
     return idle, _frame(at - lasts)
 
 
+@dataclass(frozen=True, eq=False)
+class PoseShown:
+    """What poses an actor as it is shown, at a level of detail: on the host, or on a device.
+
+    Attributes:
+        actor, shown, level: who, how, and how finely.
+    """
+
+    actor: Actor
+    shown: Shown
+    level: int
+
+    def __call__(self) -> GaussianCloud:
+        """The posed cloud."""
+        return pose_shown(self.actor, self.shown, self.level)
+
+    @property
+    def avatar(self) -> Avatar:
+        """The actor at the level of detail."""
+        return self.actor.levels[self.level]
+
+    @property
+    def rest_key(self) -> tuple[str, int]:
+        """Of the avatar."""
+        return self.actor.digest, self.level
+
+    def turn(self) -> tuple[F64, F64]:
+        """Pose [55, 3] rad and shift [3] m."""
+        return turn_shown(self.actor, self.shown)
+
+
 def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
     """The posed cloud of a key, at a level of detail."""
+    return actor.levels[level].pose(*turn_shown(actor, shown))
+
+
+def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
+    """Pose [55, 3] rad and shift [3] m of an actor, as a key tells."""
     library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
     now = (shown.clip, _at(shown.clip, shown.frame), speed)
     if shown.other:
@@ -132,7 +170,7 @@ def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
         pose, shift = library.pose_at(*now)
     if shown.look != _STRAIGHT:
         pose = turn_head(pose, math.radians(LOOKS[shown.look]))
-    return actor.levels[level].pose(pose, shift)
+    return pose, shift
 
 
 def _at(clip: str, frame: int) -> float:

@@ -102,15 +102,15 @@ class PartsDevice:
     """Instances of a call whose poses lie on the device, beside its views.
 
     Attributes:
-        names: names of their clouds.
+        names: names of their clouds; None: `chosen` are slots of the renderer's own table.
         poses: part-to-world, float64 [I, 4, 4].
-        chosen: int32 [I], numbers into `names`; -1 stands nowhere.
+        chosen: int32 [I], numbers into `names`, or slots; -1 stands nowhere, and costs nothing.
         firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
             many each view has, those of one view after those of another.
         gains: float32 [I, 4, 3] as in `Instance`, or None.
     """
 
-    names: Sequence[str]
+    names: Sequence[str] | None
     poses: DeviceArray
     chosen: DeviceArray
     firsts: DeviceArray | int

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,12 +13,13 @@ import numpy as np
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import choose_level
 from gn0.avatars.light import LightProbes, find_probes
-from gn0.avatars.posed_bank import BUDGET, Pose, PosedBank
+from gn0.avatars.posed_bank import BUDGET, PosedBank
+from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
 from gn0.geometry import F32, F64, U8, Pose2D
 from gn0.people.cast import Cast
 from gn0.people.crowd import CrowdState
 from gn0.people.person import PEOPLE_MOST, EpisodePerson
-from gn0.people.shown import pose_shown, show_person
+from gn0.people.shown import PoseShown, show_person
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
 from gn0.storage import content_hash
@@ -65,7 +65,7 @@ class Wanted:
         key: equal where pictures from the same place in the same scene are.
     """
 
-    clouds: tuple[tuple[Hashable, Pose], ...]
+    clouds: tuple[tuple[Hashable, PoseShown], ...]
     poses: tuple[F64, ...]
     places: tuple[tuple[float, float], ...]
     numbers: tuple[int, ...]
@@ -73,7 +73,7 @@ class Wanted:
 
 
 class PeopleEyes:
-    """Shows people in a scene.
+    """Shows people in a scene; on a card they are posed there.
 
     Args:
         scene: where.
@@ -93,7 +93,12 @@ class PeopleEyes:
     ) -> None:
         self.scene, self.renderer = scene, renderer
         self.cast = Cast(bank)
-        self.posed = PosedBank(budget)
+        self.posed: PosedBank | PosedBankDevice
+        drawer = renderer.renderer
+        if isinstance(drawer, HoldsParts):
+            self.posed = PosedBankDevice(drawer, budget)
+        else:
+            self.posed = PosedBank(budget)
         self._light = light
         self._probes: LightProbes | None = None
 
@@ -129,7 +134,7 @@ class PeopleEyes:
             away = float(np.hypot(x - eye.x, y - eye.y))
             level = choose_level(away, focal)
             key = (actor.digest, shown, level)
-            wanted.append((key, partial(pose_shown, actor, shown, level)))
+            wanted.append((key, PoseShown(actor, shown, level)))
             poses.append(pose)
             places.append((x, y))
             numbers.append(person.number)
@@ -148,14 +153,18 @@ class PeopleEyes:
         Raises:
             ConfigError: together they are larger than the budget.
         """
-        posed = self.posed.fetch([each for view in views for each in view.clouds])
-        self.posed.tell(self.renderer, posed)
-        names = iter(posed)
+        wanted = [each for view in views for each in view.clouds]
+        if isinstance(self.posed, PosedBankDevice):
+            names = iter([self.posed.name(slot) for slot in self.posed.fetch(wanted)])
+        else:
+            posed = self.posed.fetch(wanted)
+            self.posed.tell(self.renderer, posed)
+            names = iter([each.name for each in posed])
         condition = self._light
         change = () if condition is None else (condition,)
         return [
             tuple(
-                Instance(next(names).name, pose, gain=self.probes.gain_at(x, y, *change))
+                Instance(next(names), pose, gain=self.probes.gain_at(x, y, *change))
                 for pose, (x, y) in zip(view.poses, view.places, strict=True)
             )
             for view in views

@@ -100,10 +100,55 @@ def test_recorded_calls_give_the_same_bytes(want: list[bytes], replays: list[Rep
     assert len(replays) == 2
     assert again == as_bytes(open_batch().draw(CAMERA, VIEWS, KEYS, parts=other)) != want
     batch.draw(CAMERA, VIEWS, KEYS, parts=[[], [], [], []])
-    batch.draw(CAMERA, VIEWS, KEYS, parts=PARTS[::-1])
-    assert len(replays) == 2, "another number of instances is another call"
+    turned = as_bytes(batch.draw(CAMERA, VIEWS, KEYS, parts=PARTS[::-1]))
+    assert len(replays) == 3, "the same recording, whoever stands in which view"
+    assert turned == as_bytes(open_batch().draw(CAMERA, VIEWS, KEYS, parts=PARTS[::-1])) != want
+    batch.draw(CAMERA, VIEWS, KEYS, parts=[PARTS[2] + PARTS[0], [], [], []])
+    assert len(replays) == 3, "room for more instances a view is another call"
     assert as_bytes(batch.draw(CAMERA, VIEWS, KEYS, parts=PARTS)) == want
+
+
+def test_clouds_change_under_a_recorded_call(want: list[bytes], replays: list[Replay]) -> None:
+    """A name may get another cloud, and others come: the recording holds, the picture follows."""
+    batch = open_batch()
+    for _ in range(3):
+        batch.draw(CAMERA, VIEWS, KEYS, parts=PARTS)
+    batch.name_cloud("ball", build_ball(250, 4))
+    batch.name_cloud("late", CLOUDS["ball"])
+    changed = as_bytes(batch.draw(CAMERA, VIEWS, KEYS, parts=PARTS))
+    assert changed != want
+    late = [
+        [replace(one, cloud="late") if one.cloud == "ball" else one for one in row] for row in PARTS
+    ]
+    assert as_bytes(batch.draw(CAMERA, VIEWS, KEYS, parts=late)) == want
     assert len(replays) == 3
+    for n in range(20):  # more than the table had room for
+        batch.name_cloud(f"other {n}", CLOUDS["heap"])
+    assert as_bytes(batch.draw(CAMERA, VIEWS, KEYS, parts=late)) == want
+    assert len(replays) == 3, "recorded anew"
+
+
+def test_slots_of_the_table_on_the_device(want: list[bytes]) -> None:
+    """The number of instances a view is fixed; empty places say so, and hold anything."""
+    batch = open_batch()
+    device = batch.device
+    poses, chosen = np.full((4, 3, 4, 4), np.nan), np.full((4, 3), -1, np.int32)
+    gains = np.full((4, 3, 4, 3), np.nan, np.float32)
+    slot = {name: batch.slot_of(name) for name in CLOUDS}
+    for v, row in enumerate(PARTS):
+        for k, one in enumerate(row):
+            poses[v, k], chosen[v, k], gains[v, k] = one.pose, slot[one.cloud], one.whole_gain
+    there = PartsDevice(
+        None, device.upload(poses.reshape(12, 4, 4)), device.upload(chosen.ravel()), 3,
+        device.upload(gains.reshape(12, 4, 3)),
+    )  # fmt: skip
+    which = device.upload(np.array([0, 1, 1, 0], np.int32))
+    drawn = batch.draw(CAMERA, device.upload(VIEWS), ["a", "b"], chosen=which, parts=there)
+    assert as_bytes(drawn) == want
+    chosen[0, 0] = 7  # a slot that nobody has filled
+    wrong = replace(there, chosen=device.upload(chosen.ravel()))
+    with pytest.raises(RenderError, match=r"instance 0.*of no cloud that is here"):
+        batch.draw(CAMERA, device.upload(VIEWS), ["a", "b"], chosen=which, parts=wrong)
 
 
 def test_no_parts_are_the_call_of_before(replays: list[Replay]) -> None:
@@ -200,3 +245,24 @@ def test_bad_parts_are_told(parts, match: str) -> None:
         batch.draw(CAMERA, VIEWS, KEYS, parts=parts)
     with pytest.raises(RenderError, match="is not the name of a cloud"):
         batch.name_cloud("", CLOUDS["ball"])
+
+
+def test_who_is_who_is_what_the_cpu_says() -> None:
+    """Numbers to the pixel but where weights are level, shares and boxes likewise."""
+    batch = open_batch()
+    places = [pose_ahead(VIEWS[3], 0.9, 0.09 * k - 0.72, 0.1 * k) for k in range(16)]
+    parts = [PARTS[0], [], PARTS[2], [Instance("ball", pose) for pose in places]]
+    found = batch.render_who(CAMERA, VIEWS, KEYS, parts=parts)
+    for v, key in enumerate(KEYS):
+        cpu = RendererCpu(SCENES[key], FLOAT)
+        for name, cloud in CLOUDS.items():
+            cpu.name_cloud(name, cloud)
+        want = cpu.render_who(CAMERA, VIEWS[v], parts=parts[v])
+        assert (found.numbers[v] != want.numbers[0]).mean() < 2e-3
+        for mine, his in zip(found.seen[v], want.seen[0], strict=True):
+            assert mine.number == his.number and abs(mine.pixels - his.pixels) <= 2
+            assert abs(mine.share - his.share) < 0.05 and abs(mine.whole - his.whole) <= 2
+    assert found.numbers[3].max() == 16 and len(np.unique(found.numbers[3])) > 8
+    again = batch.render_who(CAMERA, VIEWS, KEYS, parts=parts)
+    assert (again.numbers == found.numbers).all() and again.seen == found.seen
+    assert not batch.render_who(CAMERA, VIEWS, KEYS, parts=[]).numbers.any()

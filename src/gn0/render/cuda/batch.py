@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.geometry import F64
+from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.calls import Call, Record, RecordedCalls, name_call
@@ -23,7 +23,7 @@ from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.depth import scale_on_device
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.floors import Arranged, arrange_floors
-from gn0.render.cuda.instances import Instances
+from gn0.render.cuda.instances import NO_PART, Instances
 from gn0.render.cuda.named import NamedClouds
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.cuda.parts import (
@@ -35,6 +35,7 @@ from gn0.render.cuda.parts import (
     list_sets,
     views_of,
 )
+from gn0.render.cuda.posed import Posing, RestCloud, RestDevice, bring_rest, pose_clouds
 from gn0.render.cuda.replay import PicturesDevice, SetMissingError
 from gn0.render.cuda.request import (
     check_chosen,
@@ -45,7 +46,7 @@ from gn0.render.cuda.request import (
 )
 from gn0.render.cuda.store import CloudStore, Load
 from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
-from gn0.render.instance import Parts, PartsDevice
+from gn0.render.instance import Parts, PartsDevice, check_parts
 from gn0.render.renderer import (
     ALONE,
     OUTPUTS,
@@ -57,6 +58,7 @@ from gn0.render.renderer import (
     check_views,
 )
 from gn0.render.visible_places import VisibleOptions
+from gn0.render.who import WhoPictures, judge_seen
 
 _SETS_SHARE = 0.1  # of the memory that is free at the start, for visible sets
 _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
@@ -156,8 +158,45 @@ class RendererBatch:
             DeviceMemoryError: the device has no room for it.
         """
         with lock_of(self.device):
-            if self._named.hold(name, cloud, lambda bring: self._with_room(bring, (), [])):
-                self._forget_calls()
+            self._named.hold(name, cloud, lambda bring: self._with_room(bring, (), []))
+
+    def slot_of(self, name: str) -> int:
+        """The slot of a named cloud in the table that `PartsDevice` without names refers to.
+
+        Raises:
+            RenderError: no cloud has this name.
+        """
+        return self._named.slot_of(name)
+
+    def bring_rest(self, cloud: RestCloud) -> RestDevice:
+        """Bring a person at rest here, to be posed.
+
+        Raises:
+            RenderError: it cannot be posed here.
+            DeviceMemoryError: the device has no room for it.
+        """
+        with lock_of(self.device):
+            return self._with_room(lambda: bring_rest(self.device, cloud), (), [])
+
+    def pose_parts(self, wanted: Sequence[Posing]) -> list[int]:
+        """Slots of clouds in poses, made by one launch; they stay until `drop_part`.
+
+        Raises:
+            RenderError: somebody cannot be packed.
+            DeviceMemoryError: the device has no room for them.
+        """
+        with lock_of(self.device):
+            clouds = self._with_room(lambda: pose_clouds(self.device, wanted), (), [])
+            return [self._named.add(cloud) for cloud in clouds]
+
+    def drop_part(self, slot: int) -> None:
+        """Free a slot that `pose_parts` gave."""
+        with lock_of(self.device):
+            self._named.drop(slot)
+
+    def name_part(self, slot: int) -> str:
+        """The name of a slot that `pose_parts` gave, for `Instance`."""
+        return self._named.name_of(slot)
 
     def remove(self, key: str) -> None:
         """Forget a scene."""
@@ -356,6 +395,65 @@ class RendererBatch:
                 camera, poses, name_all(keys), tails, moving, outputs, background, visible
             )
 
+    def render_who(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        keys: Sequence[str] | str = ALONE,
+        *,
+        parts: Parts,
+        visible: bool = False,
+    ) -> WhoPictures:
+        """Which instance each pixel shows, and how much of each is seen; arguments as for `draw`.
+
+        Scenes need no labels. Each instance is also drawn alone: for measures and truth.
+
+        Raises:
+            RenderError, DeviceError: see `draw`.
+        """
+        with lock_of(self.device):
+            matrices = check_views(views)
+            count, shape = len(matrices), (camera.height, camera.width)
+            moving = self._place_parts(parts, matrices)
+            rows = check_parts(parts, count)
+            numbers = np.zeros((count, *shape), np.uint32)
+            if moving is None:
+                return WhoPictures(numbers, [[] for _ in range(count)])
+            found = self._render(
+                *(camera, matrices, keys, None, moving, ("instance",), None, visible), who=True
+            )
+            assert found.instance is not None
+            numbers[:] = found.instance.numpy()
+            shown = np.flatnonzero(moving.chosen != NO_PART)
+            whose = shown // (len(moving) // count)  # as many of each view
+            alone = self._draw_alone(camera, matrices[whose], moving.take(shown))
+        ends = np.cumsum([len(row) for row in rows])
+        return WhoPictures(
+            numbers,
+            [
+                judge_seen(numbers[v], alone[end - len(row) : end])
+                for v, (row, end) in enumerate(zip(rows, ends.tolist(), strict=True))
+            ],
+        )
+
+    def _draw_alone(self, camera: Camera, matrices: F64, one_each: Instances) -> F32:
+        """Opacities [V, H, W] of one instance a view, with nothing around it."""
+        pictures = self._with_room(
+            lambda: self.drawer.pictures(camera, len(matrices), ("alpha",)), (), []
+        )
+        self._with_room(
+            lambda: self.drawer.draw(
+                *(camera, matrices, [None], np.zeros(len(matrices), np.int32)),
+                instances=one_each,
+                pictures=pictures,
+                background=np.zeros(3, np.float32),
+                antialiased=self.options.antialiased,
+            ),
+            *((), []),
+        )
+        assert pictures.alpha is not None
+        return pictures.alpha.numpy()
+
     def _place_parts(
         self, parts: Parts | PartsDevice, views: NDArray[np.floating] | DeviceArray
     ) -> Instances | None:
@@ -479,6 +577,8 @@ class RendererBatch:
         outputs: tuple[Output, ...],
         background: Colour | None,
         visible: bool | VisibleSets | Sequence[Cell | None] | None,
+        *,
+        who: bool = False,
     ) -> PicturesDevice:
         count = len(matrices)
         names = [keys] * count if isinstance(keys, str) else list(keys)
@@ -513,6 +613,7 @@ class RendererBatch:
                 rows=rows,
                 background=colour,
                 antialiased=self.options.antialiased,
+                who=who,
             )
 
         for group in self.store.groups(names):

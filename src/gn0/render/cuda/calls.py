@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +120,10 @@ class RecordedCalls:
             pictures = drawer.pictures(call.camera, count, call.outputs, options.rgb_float)
             colour = options.background if call.background is None else call.background
             behind = np.array(colour, np.float32)
-            moving = () if instances is None else (instances.poses, instances.gains)
+            moving: tuple[Any, ...] = ()
+            if instances is not None:
+                free = instances.table is not None
+                moving = (instances.poses, instances.gains, instances.chosen if free else None)
             if seen.replay.draw(views, pictures, behind, *moving) is not None:
                 self._seen.move_to_end(call)
                 return pictures

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
+from gn0.geometry import F32
 from gn0.render.cuda.tables import CLOUD, NOWHERE
 from gn0.render.labels import encode_labels
 
+PACKED = 8  # instead of a degree: a posed cloud, see `kernels/posed.cuh`
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
 
@@ -70,6 +72,11 @@ class CloudDevice:
             `boxes` are those of its own chunks. None for the whole.
         normals: of one that may be an instance, uint32 [rows] as `instances.pack_normals` has them.
         labels: what its splats belong to; None if nobody said.
+        rest: of a posed cloud, what no pose changes, see `gn0.render.cuda.posed`; its splats are
+            16 bytes each, its normals among them.
+        step: of a posed cloud's places [m].
+        bounds: of one that may be an instance, float32 [7]: a box that holds all centres, and the
+            largest reach, as of a chunk; None if nobody knows.
     """
 
     splats: DeviceArray
@@ -84,6 +91,9 @@ class CloudDevice:
     slots: DeviceArray | None = None
     normals: DeviceArray | None = None
     labels: CloudLabels | None = None
+    rest: DeviceArray | None = None
+    step: float = 0.0
+    bounds: F32 | None = None
 
     @property
     def chunks(self) -> int:
@@ -111,6 +121,12 @@ class CloudDevice:
         return codes + sum(array.nbytes for array in arrays if array is not None)
 
 
+def bound_all(clouds: Sequence[CloudDevice | None]) -> F32:
+    """Bounds of clouds [n, 7]; where nobody knows them, a reach without end."""
+    endless = np.array([0, 0, 0, 0, 0, 0, np.inf], np.float32)
+    return np.stack([endless if c is None or c.bounds is None else c.bounds for c in clouds])
+
+
 def build_clouds(clouds: Sequence[CloudDevice | None]) -> NDArray[np.void]:
     """Clouds [n] as kernels see them; None is one that no view may show."""
     return np.frombuffer(b"".join([_NO_CLOUD if c is None else c.entry for c in clouds]), CLOUD)
@@ -126,4 +142,7 @@ def build_cloud(cloud: CloudDevice) -> bytes:
     entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
     entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
     entry["rows"] = len(cloud.splats)
+    if cloud.rest is not None:
+        entry["degree"], entry["slots"] = PACKED, cloud.rest.pointer
+        entry["sh_row"] = np.float32(cloud.step).view(np.uint32)
     return entry.tobytes()

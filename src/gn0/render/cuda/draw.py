@@ -28,6 +28,7 @@ from gn0.render.cuda.instances import Instances, build_parts, mark_firsts
 from gn0.render.cuda.labels import LabelDrawer
 from gn0.render.cuda.lists import Blend, Lists
 from gn0.render.cuda.records import (
+    BringClouds,
     CountEntries,
     EmitEntries,
     MarkTarget,
@@ -49,6 +50,7 @@ from gn0.render.cuda.replay import (
 from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import (
     CHUNK,
+    CLOUD,
     GROUP,
     TARGET,
     VIEW,
@@ -72,6 +74,7 @@ _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
 _ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
 _VIEW_WORDS = VIEW.itemsize // 4
+_CLOUD_WORDS = CLOUD.itemsize // 4
 _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _ROW = 256  # bytes that pictures sharing memory are laid out by
@@ -173,6 +176,7 @@ class Drawer:
         rows: NDArray[np.int64] | None = None,
         background: F32,
         antialiased: bool = False,
+        who: bool = False,
     ) -> None:
         """Draw views into `pictures`.
 
@@ -196,6 +200,8 @@ class Drawer:
             rows: [V] rows of `pictures` that the views fill; their own numbers when None.
             background: float32 [3].
             antialiased: compensate opacity for the dilation.
+            who: `pictures.instance`, which is all that is asked for, gets numbers of instances by
+                their place in the view, from 1; of views that the host has.
 
         Raises:
             RenderError: a view or an instance on the device is not finite, not rigid, or of no
@@ -218,7 +224,7 @@ class Drawer:
                 *(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows),
                 instances=instances,
             )
-        labels = self._labels.prepare(work, clouds, pictures)
+        labels = self._labels.prepare(work, clouds, pictures, who=who)
         target = PaintTarget(None, build_target(pictures, background))
         alone = labels is not None and labels.alone
         self._run(work, Blend(None if alone else target, labels), antialiased)
@@ -522,7 +528,10 @@ class Drawer:
             self._need("groups", known * GROUP.itemsize // 4, np.uint32),
             self._need("members", count + many, np.uint32),
         ]
-        shown = [(work.chunks[: work.base], count), (work.chunks[work.base :], many)]
+        of_parts = work.chunks[work.base :]
+        if own and work.part_table is not None:  # whatever stands there when it is drawn again
+            of_parts = np.full(min(many, len(of_parts)), work.part_table.most)
+        shown = [(work.chunks[: work.base], count), (of_parts, many)]
         return choose_shares(shown, *self.tuning.shares), tables, known, view_table
 
     def _write_views(
@@ -544,9 +553,15 @@ class Drawer:
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
         """Let the device write the views of instances behind the others."""
+        kernels, table = self._kernels_for(work), work.part_table
         parts = lists.to_write_parts(work, instances, self._normals(instances))
+        if table is not None:
+            behind = lists.clouds[work.base * _CLOUD_WORDS :]
+            words = len(table) * _CLOUD_WORDS
+            bring = BringClouds(table.rows.reshape(words), np.uint32(words), behind)
+            kernels["bring_clouds"].launch(-(-words // 256), 256, bring)
         blocks = -(-max(len(instances), lists.count) // 128)
-        self._kernels_for(work)["write_parts"].launch(blocks, 128, parts)
+        kernels["write_parts"].launch(blocks, 128, parts)
 
     def record(
         self,
@@ -570,7 +585,8 @@ class Drawer:
             chosen: [V] which of `clouds` a view shows; all show the first when None.
             floors: as in `draw`.
             instances: as in `draw`, on the host: their clouds, how many there are of each view,
-                and whether they have gains. Poses and gains are said with those of the views.
+                and whether they have gains. Poses and gains are said with those of the views; of
+                a table also which of its clouds stand there.
             antialiased: as in `draw`.
 
         Raises:
@@ -579,12 +595,16 @@ class Drawer:
         """
         many = 0 if instances is None else len(instances)
         lit = instances is not None and instances.gains is not None
-        header = ReplayHeader(self.device, count, many, lit=lit)
+        free = instances is not None and instances.table is not None
+        header = ReplayHeader(self.device, count, many, lit=lit, free=free)
         which = None if chosen is None else self.device.upload(chosen)
         placed: Instances | None = None
         if instances is not None and many:
             gains = header.gains if lit else None
-            placed = replace(instances, poses=header.part_poses, gains=gains).place(self.device)
+            placed = replace(instances, poses=header.part_poses, gains=gains)
+            if free:
+                placed = replace(placed, chosen=header.chosen)
+            placed = placed.place(self.device)
         work = WorkDevice(camera, header.poses, clouds, which, floors, placed)
         self._begin(work)
         if self._fit(work, 0) < count:
@@ -633,6 +653,8 @@ class Drawer:
 
     def _normals(self, instances: Instances) -> DeviceArray:
         """Where normals of clouds lie; kept while calls name the same ones."""
+        if instances.table is not None:
+            return instances.table.normals
         table = instances.normals
         if self._lit is None or self._lit[0] != table.tobytes():
             self._lit = (table.tobytes(), self.device.upload(table))

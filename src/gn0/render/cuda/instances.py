@@ -19,6 +19,7 @@ from gn0.errors import RenderError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.part_table import PartTable
 from gn0.render.cuda.tables import CLOUD, NOWHERE, SPLATS_MAX, TAIL, VIEW, build_views
 from gn0.render.instance import PART_SPLATS_MAX, PARTS_MAX
 from gn0.render.renderer import VIEW_TOLERANCE
@@ -45,19 +46,21 @@ class Instances:
     """What stands where in the views of a call; all arrays on the host, or all on the device.
 
     Attributes:
-        clouds: different clouds, once each, that were brought there as parts.
+        clouds: different clouds, once each, that were brought there as parts; or those of `table`.
         poses: part-to-world, rigid, float64 [I, 4, 4].
         chosen: int32 [I], which of `clouds`; `NO_PART` is nothing.
         firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
             many each view has.
         gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
+        table: whose slots `chosen` numbers, if it does.
     """
 
-    clouds: Sequence[CloudDevice]
+    clouds: Sequence[CloudDevice | None]
     poses: F64 | DeviceArray
     chosen: NDArray[np.int32] | DeviceArray
     firsts: NDArray[np.int32] | DeviceArray | int
     gains: F32 | DeviceArray | None = None
+    table: PartTable | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -97,8 +100,20 @@ class Instances:
         )
         found.check(views)
         shown = here(self.chosen) != NO_PART
-        _check_arrays(here(self.poses), here(self.chosen), found.gains, shown, len(self.clouds))
+        known = np.array([cloud is not None for cloud in self.clouds], bool)
+        _check_arrays(here(self.poses), here(self.chosen), found.gains, shown, known)
         return found
+
+    def compact(self) -> Instances:
+        """The same with those clouds alone that stand somewhere; only the host's."""
+        if self.table is None:
+            return self
+        assert isinstance(self.chosen, np.ndarray)
+        numbers, which = np.unique(self.chosen, return_inverse=True)
+        none = int((numbers == NO_PART).any())  # it is the least
+        clouds = [self.clouds[number] for number in numbers[none:].tolist()]
+        chosen = (which - none).astype(np.int32)
+        return replace(self, clouds=clouds, chosen=chosen, table=None)
 
     def select(self, rows: NDArray[np.integer], views: int) -> Instances:
         """Those of views `rows` of so many; only the host's."""
@@ -118,6 +133,19 @@ class Instances:
             gains=None if gains is None else gains[at],
         )
 
+    def take(self, rows: NDArray[np.integer]) -> Instances:
+        """Instances `rows`, one in each of as many views; only the host's."""
+        assert isinstance(self.poses, np.ndarray) and isinstance(self.chosen, np.ndarray)
+        gains = self.gains
+        assert not isinstance(gains, DeviceArray)
+        return replace(
+            self,
+            poses=self.poses[rows],
+            chosen=self.chosen[rows],
+            firsts=1,
+            gains=None if gains is None else gains[rows],
+        )
+
     def check(self, views: int) -> None:
         """Compare what the host knows with what kernels rely on.
 
@@ -125,7 +153,9 @@ class Instances:
             RenderError: more instances a view than keys can number, larger clouds, clouds that
                 were not brought there as parts, or arrays that do not belong together.
         """
-        for n, cloud in enumerate(self.clouds):
+        for n, cloud in enumerate(self.clouds if self.table is None else ()):
+            if cloud is None:
+                raise RenderError("no cloud is here", where=f"cloud {n}")
             if cloud.size > PART_SPLATS_MAX:
                 raise RenderError(
                     f"an instance of {cloud.size:,} splats; keys number {PART_SPLATS_MAX:,}",
@@ -165,7 +195,12 @@ class Instances:
 
     @property
     def kind(self) -> tuple[object, ...]:
-        """What two calls with instances on the host have in common: all but poses and gains."""
+        """What two calls with instances on the host have in common: all but poses and gains.
+
+        With a table neither which of its clouds stand there need be the same.
+        """
+        if self.table is not None:
+            return (id(self.table), self.table.version, self.firsts, self.gains is None)
         assert isinstance(self.chosen, np.ndarray) and not isinstance(self.firsts, DeviceArray)
         firsts = self.firsts if isinstance(self.firsts, int) else self.firsts.tobytes()
         clouds = tuple(map(id, self.clouds))  # held by the recorded call
@@ -181,7 +216,7 @@ class Instances:
     @property
     def normals(self) -> NDArray[np.uint64]:
         """Where those of each cloud are on the device."""
-        found = [0 if c.normals is None else c.normals.pointer for c in self.clouds]
+        found = [0 if c is None or c.normals is None else c.normals.pointer for c in self.clouds]
         return np.array(found, np.uint64)
 
 
@@ -190,7 +225,7 @@ def _check_arrays(
     chosen: NDArray[np.int32],
     gains: Any,
     shown: NDArray[np.bool_],
-    known: int,
+    known: NDArray[np.bool_],
 ) -> None:
     """Instances that are shown, one by one.
 
@@ -203,7 +238,8 @@ def _check_arrays(
     off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     off = np.maximum(off, np.abs(safe[:, 3] - (0, 0, 0, 1)).max(axis=1))
     rigid = (off < VIEW_TOLERANCE) & (np.linalg.det(rotation) > 0)
-    here = (chosen >= 0) & (chosen < known)
+    here = (chosen >= 0) & (chosen < len(known))
+    here[here] = known[chosen[here]]
     lit = np.full(len(poses), True) if gains is None else np.isfinite(gains).all(axis=(1, 2))
     for why, sound in enumerate((finite, rigid, here, lit)):
         if not (sound | ~shown).all():

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from gn0.device.device import Device, DeviceArray, Kernel
-from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice, build_clouds
 from gn0.render.cuda.instances import PART
 from gn0.render.cuda.lists import LabelTarget, Lists
 from gn0.render.cuda.records import FindParts, LabelParts, LabelPictures, LabelTiles, PartTables
@@ -34,11 +34,16 @@ class LabelDrawer:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._loaded: dict[tuple[Tuning, bool], Mapping[str, Kernel]] = {}
+        self._loaded: dict[tuple[Tuning, bool, bool], Mapping[str, Kernel]] = {}
         self._clouds: tuple[bytes, DeviceArray] | None = None
 
     def prepare(
-        self, work: Work, scenes: Sequence[CloudDevice | None], pictures: PicturesDevice
+        self,
+        work: Work,
+        scenes: Sequence[CloudDevice | None],
+        pictures: PicturesDevice,
+        *,
+        who: bool = False,
     ) -> LabelTarget | None:
         """What a call's labels need; None where it wants none.
 
@@ -46,6 +51,7 @@ class LabelDrawer:
             work: the call.
             scenes: its clouds that are neither moving splats nor instances.
             pictures: what to fill.
+            who: instead of objects, each view's instances are told apart, by their place from 1.
 
         Raises:
             RenderError: a scene carries no labels, or numbers that a code cannot hold.
@@ -54,6 +60,11 @@ class LabelDrawer:
         wanted = [name for name in LABELS if getattr(pictures, name) is not None]
         if not wanted:
             return None
+        if who:
+            table = work.table.copy()
+            table["sh"] = 0
+            there = self._device.upload(table.view(np.uint32))
+            return LabelTarget(None, pictures.instance, there, alone=True, who=True)
         for cloud in scenes:
             if cloud is not None:
                 known = cloud.labels
@@ -64,6 +75,14 @@ class LabelDrawer:
             if cloud is not None and cloud.labels is not None:
                 codes = cloud.labels.bring(self._device, cloud.order, cloud.alive)
                 table["sh"][number] = codes.pointer
+        if work.part_table is not None:
+            for slot, cloud in enumerate(work.part_table.clouds, start=work.base):
+                if cloud is not None:
+                    table[slot] = build_clouds([cloud])[0]
+                    table["sh"][slot] = 0
+                    if cloud.labels is not None:
+                        codes = cloud.labels.bring(self._device, cloud.order, cloud.alive)
+                        table["sh"][slot] = codes.pointer
         key = table.tobytes()
         if self._clouds is None or self._clouds[0] != key:
             self._clouds = (key, self._device.upload(table.view(np.uint32)))
@@ -78,7 +97,7 @@ class LabelDrawer:
         Raises:
             DeviceMemoryError: there is no room for a table of instances.
         """
-        kernels = self._load(tuning, work.instances is not None)
+        kernels = self._load(tuning, work.instances is not None, target.who)
         given = lists.to_draw(target.clouds)
         pictures = LabelPictures(target.semantic, target.instance)
         if work.instances is None:
@@ -99,9 +118,9 @@ class LabelDrawer:
 
         return launch
 
-    def _load(self, tuning: Tuning, parts: bool) -> Mapping[str, Kernel]:
-        loaded = self._loaded.get((tuning, parts))
+    def _load(self, tuning: Tuning, parts: bool, who: bool) -> Mapping[str, Kernel]:
+        loaded = self._loaded.get((tuning, parts, who))
         if loaded is None:
-            loaded = self._device.load(label_source(tuning, parts=parts, codes=self.codes))
-            self._loaded[tuning, parts] = loaded
+            source = label_source(tuning, parts=parts, codes=self.codes, who=who)
+            loaded = self._loaded[tuning, parts, who] = self._device.load(source)
         return loaded

@@ -196,13 +196,15 @@ class Lists:
             each=np.uint32(firsts if isinstance(firsts, int) else 0),
             clouds=self.clouds,
             base=np.uint32(work.base),
-            known=np.uint32(len(instances.clouds)),
+            known=np.uint32(len(work.table) - work.base),
             normals=normals,
+            bounds=None if instances.table is None else instances.table.bounds,
             tolerance=np.float64(VIEW_TOLERANCE),
             first=np.uint32(self.first),
             count_=np.uint32(self.count),
             all=np.uint32(work.count),
             instances=np.uint32(len(instances)),
+            flags=self.flags,
             like=work.like,
             views=self.views,
             parts=self.parts.parts,
@@ -216,12 +218,14 @@ class LabelTarget(NamedTuple):
         semantic, instance: uint32 [V, H, W]; None where nobody asked.
         clouds: the call's table of clouds, with codes where else spherical harmonics are.
         alone: whether nothing but labels is wanted.
+        who: whether they are numbers of instances.
     """
 
     semantic: DeviceArray | None
     instance: DeviceArray | None
     clouds: DeviceArray
     alone: bool
+    who: bool = False
 
 
 class Blend(NamedTuple):

@@ -13,23 +13,29 @@ from gn0.errors import RenderError, brief
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.render.cuda.cloud import CloudDevice
-from gn0.render.cuda.instances import Instances
+from gn0.render.cuda.instances import NO_PART, Instances
 from gn0.render.cuda.pack import prepare_cloud, upload_cloud
+from gn0.render.cuda.part_table import PartTable
 from gn0.render.instance import Instance, Parts, PartsDevice, check_named, check_parts, digest_part
 
 
 @dataclass(frozen=True, eq=False)
 class _NamedCloud:
-    cloud: CloudDevice
+    slot: int
     digest: str
-    source: weakref.ref[GaussianCloud]
+    source: weakref.ref[GaussianCloud] | None
 
 
 class NamedClouds:
-    """Packed clouds by name, on a device; they stay there."""
+    """Packed clouds by name, on a device; they stay there.
+
+    Attributes:
+        table: where they are, and others without names.
+    """
 
     def __init__(self, device: Device) -> None:
         self._device = device
+        self.table = PartTable(device)
         self._held: dict[str, _NamedCloud] = {}
 
     def __contains__(self, name: object) -> bool:
@@ -38,7 +44,12 @@ class NamedClouds:
     @property
     def used(self) -> int:
         """Bytes on the device."""
-        return sum(held.cloud.nbytes for held in self._held.values())
+        return sum(self._cloud(name).nbytes for name in self._held)
+
+    def _cloud(self, name: str) -> CloudDevice:
+        cloud = self.table.clouds[self._held[name].slot]
+        assert cloud is not None
+        return cloud
 
     def hold(
         self,
@@ -61,7 +72,7 @@ class NamedClouds:
             DeviceMemoryError: the device has no room for it.
         """
         held = self._held.get(name) if isinstance(name, str) else None
-        if held is not None and held.source() is cloud:
+        if held is not None and held.source is not None and held.source() is cloud:
             return False
         check_named(name, cloud)
         digest = digest_part(cloud)
@@ -69,8 +80,39 @@ class NamedClouds:
             return False
         ready = prepare_cloud(cloud, part=True)
         packed = with_room(lambda: upload_cloud(self._device, ready))
-        self._held[name] = _NamedCloud(packed, digest, weakref.ref(cloud))
+        slot = self.table.take() if held is None else held.slot
+        self.table.put(slot, packed)
+        self._held[name] = _NamedCloud(slot, digest, weakref.ref(cloud))
         return True
+
+    def slot_of(self, name: str) -> int:
+        """The slot of a name.
+
+        Raises:
+            RenderError: no cloud has it.
+        """
+        if name not in self._held:
+            raise RenderError(
+                f"no cloud is named {brief(name)}",
+                remedy="hand it to the renderer's name_cloud first",
+            )
+        return self._held[name].slot
+
+    def add(self, cloud: CloudDevice) -> int:
+        """The slot that a cloud gets, with a name (`name_of`), until `drop`."""
+        slot = self.table.take()
+        self.table.put(slot, cloud)
+        self._held[self.name_of(slot)] = _NamedCloud(slot, "", None)
+        return slot
+
+    def drop(self, slot: int) -> None:
+        """Free a slot that `add` gave."""
+        self.table.drop(slot)
+        self._held.pop(self.name_of(slot), None)
+
+    def name_of(self, slot: int) -> str:
+        """The name of a slot that `add` gave."""
+        return f"slot {slot} of the table"
 
     def place(self, parts: Parts | PartsDevice, views: int) -> Instances | None:
         """What to draw in so many views; None if nothing stands in any of them.
@@ -78,48 +120,53 @@ class NamedClouds:
         Raises:
             RenderError: an instance of no known cloud, or of another fault that the host can see.
         """
+        self.table.flush()
         if isinstance(parts, PartsDevice):
-            for n, name in enumerate(parts.names):
+            clouds: list[CloudDevice | None] = self.table.clouds
+            for n, name in enumerate(parts.names or ()):
                 if name not in self._held:
                     raise RenderError(
                         f"no cloud is named {brief(name)}",
                         where=f"names[{n}]",
                         remedy="hand it to the renderer's name_cloud first",
                     )
-            clouds = [self._held[name].cloud for name in parts.names]
-            found = Instances(clouds, parts.poses, parts.chosen, parts.firsts, parts.gains)
+            if parts.names is not None:
+                clouds = [self._cloud(name) for name in parts.names]
+            found = Instances(
+                *(clouds, parts.poses, parts.chosen, parts.firsts, parts.gains),
+                table=self.table if parts.names is None else None,
+            )
             found.check(views)
             return found if len(found) else None
         rows = check_parts(parts, views, self._held)
         if not any(rows):
             return None
-        number = {name: n for n, name in enumerate(dict.fromkeys(_names(rows)))}
-        clouds = [self._held[name].cloud for name in number]
-        return _join_rows(rows, number, clouds)
-
-
-def _names(rows: list[tuple[Instance, ...]]) -> list[str]:
-    distinct = {id(row): row for row in rows}
-    return [instance.cloud for row in distinct.values() for instance in row]
+        slots = {name: held.slot for name, held in self._held.items()}
+        return _join_rows(rows, slots, self.table)
 
 
 def _join_rows(
-    rows: list[tuple[Instance, ...]], number: dict[str, int], clouds: list[CloudDevice]
+    rows: list[tuple[Instance, ...]], slots: dict[str, int], table: PartTable
 ) -> Instances:
-    """Arrays of the instances of all views; agents of one scene share theirs."""
+    """Arrays of the instances of all views, as many of each; agents of one scene share theirs.
+
+    How many that is, is a power of two: who comes into view seldom makes it another call.
+    """
+    each = 1 << (max(map(len, rows)) - 1).bit_length()
     begins: dict[int, int] = {}
     different: list[Instance] = []
     for row in rows:
         if id(row) not in begins:
             begins[id(row)] = len(different)
             different += row
-    poses: F64 = np.stack([instance.pose for instance in different])
-    chosen = np.array([number[instance.cloud] for instance in different], np.int32)
-    counts = np.array([len(row) for row in rows])
-    firsts = np.concatenate([[0], np.cumsum(counts)])
-    begin = np.array([begins[id(row)] for row in rows])
-    at = np.arange(firsts[-1]) + np.repeat(begin - firsts[:-1], counts)
+    counts, begin = np.array([len(row) for row in rows]), np.array([begins[id(r)] for r in rows])
+    place = np.arange(each)
+    there = (place < counts[:, None]).ravel()
+    at = np.where(there, (begin[:, None] + place).ravel(), 0)
+    poses: F64 = np.stack([instance.pose for instance in different])[at]
+    chosen = np.array([slots[instance.cloud] for instance in different], np.int32)[at]
+    chosen[~there] = NO_PART
     gains: F32 | None = None
     if any(instance.gain is not None for instance in different):
         gains = np.stack([instance.whole_gain for instance in different])[at]
-    return Instances(clouds, poses[at], chosen[at], firsts.astype(np.int32), gains)
+    return Instances(table.clouds, poses, chosen, each, gains, table=table)

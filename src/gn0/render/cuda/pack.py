@@ -30,7 +30,7 @@ from gn0.render.cuda.instances import pack_normals
 from gn0.render.cuda.records import BoxChunks, ClearRows, PackSplats
 from gn0.render.cuda.tables import CHUNK, NOWHERE, SPLATS_MAX
 from gn0.render.instance import PART_SPLATS_MAX, find_normals
-from gn0.render.renderer import ALPHA_MIN
+from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
 
 SPLAT = 16  # floats a packed splat
 SH_ROW = {
@@ -251,8 +251,18 @@ def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> l
                 alive=lay.alive,
                 normals=_place_normals(device, one, lay.chunks * CHUNK),
                 labels=_keep_labels(one.cloud),
+                bounds=None if one.normals is None else find_bounds(one.cloud),
             )
         )
+    return found
+
+
+def find_bounds(cloud: GaussianCloud) -> F32:
+    """A box that holds all centres of a cloud, and the largest reach, as of a chunk [7]."""
+    found = np.zeros(7, np.float32)
+    if len(cloud):
+        found[:3], found[3:6] = cloud.means.min(axis=0), cloud.means.max(axis=0)
+        found[6] = EXTENT_MAX * float(cloud.scales.max()) * 1.0001
     return found
 
 

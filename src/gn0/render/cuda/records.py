@@ -132,14 +132,24 @@ class WriteParts(NamedTuple):
     base: np.uint32
     known: np.uint32
     normals: DeviceArray
+    bounds: DeviceArray | None
     tolerance: np.float64
     first: np.uint32
     count_: np.uint32
     all: np.uint32
     instances: np.uint32
+    flags: np.uint32
     like: np.void
     views: DeviceArray
     parts: DeviceArray
+
+
+class BringClouds(NamedTuple):
+    """`bring_clouds`: rows of a table of clouds, behind those of a call."""
+
+    from_: DeviceArray
+    words: np.uint32
+    to: DeviceArray
 
 
 class TileLists(NamedTuple):
@@ -312,3 +322,24 @@ class FillSlots(NamedTuple):
     starts: DeviceArray
     slots: DeviceArray
     total: np.uint32
+
+
+class PoseSplats(NamedTuple):
+    """`pose_splats`: clouds of people, skinned and packed."""
+
+    jobs: DeviceArray
+    count_: np.uint32
+
+
+class FindSlots(NamedTuple):
+    """`find_slots`: which clouds of a bank codes ask for, and codes that it lacks."""
+
+    codes: DeviceArray
+    count_: np.uint32
+    keys: DeviceArray
+    slots: DeviceArray
+    places: np.uint32
+    stamp: np.uint32
+    stamps: DeviceArray
+    chosen: DeviceArray
+    missing: DeviceArray

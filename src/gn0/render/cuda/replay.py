@@ -146,14 +146,22 @@ class ReplayHeader:
         count: of views.
         instances: of all of them together.
         lit: whether instances have gains.
+        free: whether each call says which clouds they are of.
     """
 
     def __init__(
-        self, device: Device, count: int, instances: int = 0, *, lit: bool = False
+        self,
+        device: Device,
+        count: int,
+        instances: int = 0,
+        *,
+        lit: bool = False,
+        free: bool = False,
     ) -> None:
         behind = TARGET.itemsize + count * 128
         gains = behind + instances * 128
-        size = gains + instances * 48 * lit
+        clouds = gains + instances * 48 * lit
+        size = clouds + instances * 4 * free
         block = device.pinned(size, np.uint8)
         self.heard = Heard(device)
         self.target = device.empty(TARGET.itemsize // 4, np.uint32)
@@ -169,10 +177,11 @@ class ReplayHeader:
         self._background = block[32:44].view(np.float32)
         self._poses = block[TARGET.itemsize : behind].view(np.float64).reshape(count, 4, 4)
         self._part_poses = block[behind:gains].view(np.float64).reshape(instances, 4, 4)
-        self._gains = block[gains:].view(np.float32).reshape(-1, 4, 3)
-        self.part_poses, self.gains = (
+        self._gains = block[gains:clouds].view(np.float32).reshape(-1, 4, 3)
+        self._chosen = block[clouds:].view(np.int32)
+        self.part_poses, self.gains, self.chosen = (
             DeviceArray(device, array.ctypes.data, array.shape, array.dtype, block)
-            for array in (self._part_poses, self._gains)
+            for array in (self._part_poses, self._gains, self._chosen)
         )
 
     def write(
@@ -182,6 +191,7 @@ class ReplayHeader:
         background: F32,
         part_poses: NDArray[np.floating] | None = None,
         gains: F32 | None = None,
+        chosen: NDArray[np.int32] | None = None,
     ) -> None:
         """Say what is to be drawn; only when the words of the call before have come."""
         rgb, depth, alpha = pictures.rgb, pictures.depth, pictures.alpha
@@ -198,6 +208,8 @@ class ReplayHeader:
             self._part_poses[:] = part_poses
         if gains is not None:
             self._gains[:] = gains
+        if chosen is not None:
+            self._chosen[:] = chosen
         self.heard.hush()
 
 
@@ -233,6 +245,7 @@ class Replay:
         background: F32,
         part_poses: NDArray[np.floating] | None = None,
         gains: F32 | None = None,
+        chosen: NDArray[np.int32] | None = None,
     ) -> int | None:
         """Draw as many views as were recorded; the pictures may still be under way.
 
@@ -242,6 +255,7 @@ class Replay:
             background: float32 [3].
             part_poses: part-to-world [I, 4, 4] of as many instances as were recorded.
             gains: theirs, float32 [I, 4, 3], if they had some.
+            chosen: slots of their clouds, int32 [I], where they are of a table.
 
         Returns:
             Entries of the lists; None when they had no room, and nothing was drawn.
@@ -252,7 +266,7 @@ class Replay:
             DeviceError: the device is lost.
         """
         assert self._graph is not None and self._lists is not None
-        self._header.write(poses, pictures, background, part_poses, gains)
+        self._header.write(poses, pictures, background, part_poses, gains, chosen)
         lists = self._lists
         try:
             self._graph.launch()

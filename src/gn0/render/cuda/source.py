@@ -13,12 +13,12 @@ from gn0.render.renderer import ALPHA_CAP, ALPHA_MIN, DILATION, EXTENT_MAX, TRAN
 _KERNELS = Path(__file__).parent / "kernels"
 _WALK = ("colour.cuh", "group.cuh", "reach.cuh", "part.cuh", "walk.cuh", "paint.cuh")
 _FILES = (
-    *("view.cuh", "pose.cuh", "views.cu", "project.cuh", "list.cuh", "list.cu"),
+    *("view.cuh", "pose.cuh", "views.cu", "posed.cuh", "project.cuh", "list.cuh", "list.cu"),
     *(*_WALK, "paint.cu"),
 )
-_PARTS_FILES = ("view.cuh", "pose.cuh", "project.cuh", "list.cuh", *_WALK, "parts.cu")
+_PARTS_FILES = ("view.cuh", "pose.cuh", "posed.cuh", "project.cuh", "list.cuh", *_WALK, "parts.cu")
 _LABEL_FILES = (
-    *("view.cuh", "project.cuh", "list.cuh", "code.cuh"),  # codes instead of colours
+    *("view.cuh", "posed.cuh", "project.cuh", "list.cuh", "code.cuh"),  # codes instead of colours
     *("group.cuh", "reach.cuh", "part.cuh", "walk.cuh", "labels.cuh"),
 )
 CODES = 8  # that a pixel has room for at a time, even; never changes a byte
@@ -30,14 +30,17 @@ def kernel_source(tuning: Tuning, *, parts: bool = False) -> KernelSource:
     return KernelSource("parts" if parts else "draw", files, _constants(tuning, parts))
 
 
-def label_source(tuning: Tuning, *, parts: bool = False, codes: int = CODES) -> KernelSource:
-    """The kernels that find labels, without instances or with.
+def label_source(
+    tuning: Tuning, *, parts: bool = False, codes: int = CODES, who: bool = False
+) -> KernelSource:
+    """The kernels that find labels, without instances or with; or `who` is who of these.
 
     Apart from the others, so that these are the same machine code with labels and without.
     """
     more = (
         ("OBJECT_BITS", OBJECT_BITS),
         ("ROOM", codes),
+        ("WHO", int(who)),
         ("LABEL_BLOCKS", max(tuning.blocks - 2, 1)),  # pixels have more to remember than colours
     )
     name = "label_parts" if parts else "labels"
@@ -63,4 +66,4 @@ SOURCES = tuple(
     for source in (kernel_source, label_source)
     for parts in (False, True)
     for tuning in (MANY, FEW)
-)
+) + tuple(label_source(tuning, parts=True, who=True) for tuning in (MANY, FEW))

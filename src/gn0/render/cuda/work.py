@@ -13,7 +13,7 @@ from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice, build_clouds
 from gn0.render.cuda.instances import BEFORE_TAILS, NO_PART, Instances, find_whose
-from gn0.render.cuda.tables import CHUNK, TILE, build_view
+from gn0.render.cuda.tables import CHUNK, CLOUD, TILE, build_view
 from gn0.render.instance import PART_SPLATS_MAX
 
 
@@ -32,6 +32,7 @@ class Work:
         instances: Instances | None = None,
     ) -> None:
         self.count = count = len(matrices)
+        instances = None if instances is None else instances.compact()
         self._of_clouds(camera, clouds, instances)
         self.matrices, self.cloud_of = matrices, np.asarray(cloud_of)
         moving = np.full(count, -1) if tail_of is None else np.asarray(tail_of)
@@ -58,12 +59,18 @@ class Work:
         instances: Instances | None,
     ) -> None:
         self.base, self.instances = len(clouds), instances
+        self.part_table = None if instances is None else instances.table
         if instances is not None:
             instances.check(self.count)
-            clouds = [*clouds, *instances.clouds]
+            if self.part_table is None:
+                clouds = [*clouds, *instances.clouds]
         self.camera, self.table = camera, build_clouds(clouds)
         self.held = clouds  # the table only points to them
         self.chunks = self.table["chunks"].astype(np.int64)
+        if self.part_table is not None:  # its rows are brought there by a kernel
+            room = np.zeros(len(self.part_table), CLOUD)
+            self.table = np.concatenate([self.table, room])
+            self.chunks = np.concatenate([self.chunks, self.part_table.chunks])
         self.tiles_x = -(-camera.width // TILE)
         self.tiles = self.tiles_x * -(-camera.height // TILE)
 
@@ -94,7 +101,8 @@ class WorkDevice(Work):
         self.picture = (camera.width, camera.height, camera.model, *(kind if several else ()))
         if instances is not None:
             each = -(-len(instances) // max(self.count, 1))
-            self.splats += each * int(self.chunks[self.base :].max(initial=0)) * CHUNK
+            largest = self.chunks[self.base :].max(initial=0)
+            self.splats += each * int(largest) * CHUNK
             self.picture = (*self.picture, "instances")
 
 

@@ -5,10 +5,13 @@
 
 __device__ __forceinline__ float3 find_colour(const Cloud &cloud, const Splat &s, u32 slot,
                                               const View &w) {
-  const uint2 packed = __ldg((const uint2 *)(cloud.splats + (u64)slot * 4) + 7);
+  bool posed = INSTANCES && cloud.degree == PACKED;
+  const uint2 *at = posed ? (const uint2 *)((const float4 *)cloud.slots + (u64)slot * 2 + 1)
+                          : (const uint2 *)(cloud.splats + (u64)slot * 4) + 7;
+  const uint2 packed = __ldg(at);
   float rgb[3] = {half_to_float((u16)packed.x), half_to_float((u16)(packed.x >> 16)),
                   half_to_float((u16)packed.y)};
-  if (!cloud.degree) return make_float3(rgb[0], rgb[1], rgb[2]);
+  if (!cloud.degree || posed) return make_float3(rgb[0], rgb[1], rgb[2]);
   float x = s.x - w.eye[0], y = s.y - w.eye[1], z = s.z - w.eye[2];
   float squared = fmaf(x, x, fmaf(y, y, z * z));
   float scale = squared > 0.f ? fast_rsqrt(squared) : 0.f;

@@ -15,7 +15,8 @@ KERNEL_BOUNDED(label_parts, THREADS, LABEL_BLOCKS)
         semantic, instance, {part_views, parts});
 }
 
-// What labelling needs to know of instances: their clouds in `clouds`, and no light.
+// What labelling needs to know of instances: their clouds in `clouds`, and no light; with WHO the
+// number of each in its view.
 KERNEL(find_parts)(const View *__restrict__ part_views, u32 count, const Cloud *__restrict__ clouds,
                    Part *parts) {
   u32 i = blockIdx.x * blockDim.x + threadIdx.x;
@@ -23,5 +24,6 @@ KERNEL(find_parts)(const View *__restrict__ part_views, u32 count, const Cloud *
   Part part = {};
   u32 number = part_views[i].cloud;
   if (number != NOWHERE) part.cloud = clouds[number];
+  if (WHO) part.cloud.sh = (const u16 *)(u64)(1 + (part_views[i].spare[IS_PART] >> PART_SHIFT & 31u));
   parts[i] = part;
 }

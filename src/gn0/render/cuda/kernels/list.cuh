@@ -243,11 +243,12 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
     if (each > 1) mask = c < each ? seen_by[c] : 0;
     if (!mask || c >= each) continue;
     u32 slot = (first_chunk + c) * CHUNK + number;
-    if (cloud.slots) slot = __ldg(cloud.slots + slot);
+    bool posed = INSTANCES && cloud.degree == PACKED;
+    if (cloud.slots && !posed) slot = __ldg(cloud.slots + slot);
     Splat s = {0.f, 0.f, 0.f, -1.f, {0.f}, 0.f};
     u32 index = slot;
     if (slot < cloud.rows) {
-      s = load_splat(cloud.splats + (u64)slot * 4);
+      s = posed ? load_posed(cloud, slot) : load_splat(cloud.splats + (u64)slot * 4);
       if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
     }
     if (INSTANCES && g.tail) index += TAIL_INDEX;

@@ -56,7 +56,8 @@ __device__ __forceinline__ void stage_splat(TileRoom &t, u32 k, u32 slot, u32 fl
   const u32 whose = slot;
   const Cloud &cloud = MOVES ? find_cloud(t, whose, moving) : t.cloud[slot >> 31];
   slot &= !MOVES ? ~TAIL : whose & TAIL ? PART_INDEX : TAIL_SLOT - 1;
-  const Splat s = load_splat(cloud.splats + (u64)slot * 4);
+  const Splat s = MOVES && cloud.degree == PACKED ? load_posed(cloud, slot)
+                                                  : load_splat(cloud.splats + (u64)slot * 4);
   Footprint f;
   const View w = load_view(MOVES && whose & TAIL ? moving.views[find_part(t, whose)] : t.view);
   if (!project(s, w, flags, f)) return;

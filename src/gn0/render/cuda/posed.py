@@ -1,0 +1,357 @@
+"""Clouds of people in poses, made on the device: skinned there, and packed to 16 bytes a splat.
+
+All clouds that a call lacks are made by one launch. What no pose changes (sizes, opacities, colours,
+the order of splats) lies there once a person and level of detail, 32 bytes a splat, and is shared
+by all poses; what skinning reads is another 64. See `kernels/posed.cuh` for the layout.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray, KernelSource
+from gn0.errors import RenderError
+from gn0.gaussians.cloud import SH_C0
+from gn0.gaussians.morton import morton_order
+from gn0.geometry import F32, F64
+from gn0.render.cuda.cloud import CloudDevice, CloudLabels
+from gn0.render.cuda.records import FindSlots, PoseSplats
+from gn0.render.cuda.tables import CHUNK, NOWHERE
+from gn0.render.instance import PART_SPLATS_MAX
+from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
+
+SPLAT_BYTES = 16  # of a posed splat
+STEP_MOST = 1.0e-5  # m: a finer grid holds who reaches less than 10 m from its middle
+_MIDDLE = (0.0, 0.0, 1.0)  # m
+_STEPS = 2**20 - 1
+_SLACK = 1e-4  # m: rounding
+_JOINTS, _OF_JOINT, _INFLUENCES = 55, 16, 4
+_ON_FLOOR, _PADDING = -2.0, -1.0  # instead of extents
+_POSING = np.dtype(
+    [
+        *((name, "<u8") for name in ("skin", "rest", "joints", "floor", "splats", "boxes")),
+        ("step", "<f4"),
+        *((name, "<u4") for name in ("first_block", "alive", "lying")),
+        ("spare", "<u4", 8),
+    ]
+)  # as in `kernels/posed.cu`
+_KERNELS = Path(__file__).parent / "kernels"
+SOURCE = KernelSource(
+    "posed",
+    tuple(_KERNELS / name for name in ("view.cuh", "posed.cuh", "posed.cu")),
+    (("LOG_ALPHA_MIN", math.log(ALPHA_MIN)),),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RestCloud:
+    """Splats at rest and the joints that carry them, in GN0's axes or any that poses turn to them.
+
+    Attributes:
+        points, normals: [N, 3] m; quats: (w, x, y, z) [N, 4].
+        scales: [N, 3] m; opacities: [N].
+        colours: constant coefficient of each colour [N, 3], as `GaussianCloud.sh` has it.
+        joint: numbers of joints below 55, the heaviest first, uint8 [N, K], K at most 4.
+        weight: their shares [N, K].
+        joints: at rest [55, 3] m.
+        lying: the last so many splats lie on the floor, where each pose says.
+        label: int32 [N], as in `GaussianCloud`.
+    """
+
+    points: F32
+    normals: F32
+    quats: F32
+    scales: F32
+    opacities: F32
+    colours: F32
+    joint: NDArray[np.uint8]
+    weight: F32
+    joints: F64
+    lying: int = 0
+    label: NDArray[np.int32] | None = None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class RestDevice:
+    """A `RestCloud` on a device, in the packed order of all its poses.
+
+    Attributes:
+        skin: float32 [rows, 16] centre, normal, turn, weights, joints (bytes).
+        rest: float32 [rows, 8] scales, log opacity, colours (halves), extent.
+        order, places: as of a `CloudDevice`.
+        size, alive, lying: splats, those that can show, and those of them that lie on the floor.
+        reach: how far from each joint what hangs on it is (-1: nothing does), and its place at
+            rest [55, 4] m.
+        widest: the largest reach of a splat from its centre [m].
+        labels: of the splats.
+    """
+
+    skin: DeviceArray
+    rest: DeviceArray
+    order: DeviceArray
+    places: DeviceArray
+    size: int
+    alive: int
+    lying: int
+    reach: F64
+    widest: float
+    labels: CloudLabels | None
+
+    @property
+    def rows(self) -> int:
+        """With padding."""
+        return len(self.rest)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return sum(a.nbytes for a in (self.skin, self.rest, self.order, self.places))
+
+
+class Posing(NamedTuple):
+    """A cloud to be made.
+
+    Attributes:
+        rest: of whom.
+        transforms: of each joint, from rest to GN0's axes [55, 3, 4].
+        turns: their rotations as (w, x, y, z) [55, 4].
+        floor: places and opacities of the splats on the floor [lying, 4].
+    """
+
+    rest: RestDevice
+    transforms: F64
+    turns: F64
+    floor: F32
+
+
+def posed_bytes(rows: int) -> int:
+    """Bytes on the device of a posed cloud of so many rows, a multiple of 256."""
+    return rows * SPLAT_BYTES + rows // CHUNK * 28
+
+
+def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
+    """Bring a person at rest to a device.
+
+    Splats that can never reach 1/255 of opacity are left out.
+
+    Raises:
+        RenderError: too many splats, values that are not finite, or joints that are none.
+        DeviceMemoryError: the device has no room for it.
+    """
+    _check(cloud)
+    count, body = len(cloud), len(cloud) - cloud.lying
+    shown = np.flatnonzero(cloud.opacities[:body] >= np.float32(ALPHA_MIN))
+    index = np.concatenate([shown[morton_order(cloud.points[shown])], np.arange(body, count)])
+    alive = len(index)
+    rows = -(-alive // CHUNK) * CHUNK
+    places = np.full(count, NOWHERE, np.uint32)
+    places[index] = np.arange(alive, dtype=np.uint32)
+    order = np.zeros(rows, np.uint32)
+    order[:alive] = index
+    skin, rest = np.zeros((rows, 16), np.float32), np.zeros((rows, 8), np.float32)
+    most = min(cloud.joint.shape[1], _INFLUENCES)
+    quats = cloud.quats.astype(np.float64)
+    length = np.linalg.norm(quats, axis=1, keepdims=True)
+    quats = np.where(length > 0, quats / np.where(length > 0, length, 1.0), (1.0, 0.0, 0.0, 0.0))
+    joint = np.zeros((count, _INFLUENCES), np.uint8)
+    joint[:, :most] = cloud.joint[:, :most]
+    skin[:alive, :3], skin[:alive, 3:6] = cloud.points[index], cloud.normals[index]
+    skin[:alive, 6:10] = quats[index]
+    skin[:alive, 10 : 10 + most] = cloud.weight[index, :most]
+    skin[:alive, 14] = np.ascontiguousarray(joint[index]).view(np.float32)[:, 0]
+    rest[:alive, :3] = cloud.scales[index]
+    log_opacity = np.log(np.clip(cloud.opacities[index].astype(np.float64), ALPHA_MIN / 2, 1.0))
+    rest[:alive, 3] = log_opacity
+    colours = np.float32(SH_C0) * cloud.colours[index] + np.float32(0.5)
+    halves = np.zeros((alive, 4), np.float16)
+    halves[:, :3] = np.clip(colours, 0.0, 65504.0)
+    rest[:alive, 4:6] = halves.view(np.float32)
+    rest[alive:, 6] = _PADDING
+    rest[:alive, 6] = np.sqrt(2.0 * np.maximum(log_opacity - math.log(ALPHA_MIN), 0.0))
+    rest[alive - cloud.lying : alive, 6] = _ON_FLOOR
+    return RestDevice(
+        skin=device.upload(skin),
+        rest=device.upload(rest),
+        order=device.upload(order),
+        places=device.upload(places),
+        size=count,
+        alive=alive,
+        lying=cloud.lying,
+        reach=_find_reach(cloud, joint, body),
+        widest=EXTENT_MAX * float(cloud.scales.max(initial=0.0)) * 1.0001,
+        labels=None if cloud.label is None else CloudLabels(cloud.label),
+    )
+
+
+def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
+    """Clouds in poses, all by one launch; each has memory of its own.
+
+    Raises:
+        RenderError: somebody reaches so far that its places would be too coarse.
+        DeviceMemoryError: the device has no room for them.
+    """
+    if not wanted:
+        return []
+    joints = np.zeros((len(wanted), _JOINTS, _OF_JOINT), np.float32)
+    floors = np.zeros((sum(one.rest.lying for one in wanted) + 1, 4), np.float32)
+    jobs, clouds, at, block = np.zeros(len(wanted), _POSING), [], 0, 0
+    capsules = [_find_capsule(one) for one in wanted]
+    steps = [_choose_step(box, n) for n, box in enumerate(capsules)]
+    for n, one in enumerate(wanted):
+        joints[n, :, :12], joints[n, :, 12:] = one.transforms.reshape(_JOINTS, 12), one.turns
+        floors[at : at + one.rest.lying, :3] = one.floor[:, :3]
+        opacity = np.clip(one.floor[:, 3].astype(np.float64), ALPHA_MIN / 2, 1.0)
+        floors[at : at + one.rest.lying, 3] = np.log(opacity)
+        at += one.rest.lying
+    there, below = device.upload(joints), device.upload(floors)
+    at = 0
+    for n, (one, step) in enumerate(zip(wanted, steps, strict=True)):
+        rest, chunks = one.rest, one.rest.rows // CHUNK
+        whole = device.empty(posed_bytes(rest.rows) // 4, np.uint32)
+        splats = whole[: rest.rows * 4].reshape(rest.rows, 4)
+        boxes = whole[rest.rows * 4 :].view(np.float32).reshape(chunks, 7)
+        jobs[n] = (
+            *(rest.skin.pointer, rest.rest.pointer),
+            there.pointer + n * _JOINTS * _OF_JOINT * 4,
+            below.pointer + at * 16,
+            *(splats.pointer, boxes.pointer, step, block, rest.alive, rest.lying, 0),
+        )
+        at, block = at + rest.lying, block + chunks
+        clouds.append(
+            CloudDevice(
+                splats=splats,
+                order=rest.order,
+                places=rest.places,
+                sh=None,
+                boxes=boxes,
+                degree=0,
+                ordered=False,
+                size=rest.size,
+                alive=rest.alive,
+                normals=splats.reshape(rest.rows * 4),
+                labels=rest.labels,
+                rest=rest.rest,
+                step=step,
+                bounds=capsules[n],
+            )
+        )
+    record = PoseSplats(device.upload(jobs.view(np.uint64)), np.uint32(len(wanted)))
+    device.load(SOURCE)["pose_splats"].launch(block, CHUNK, record)
+    return clouds
+
+
+class SlotFinder:
+    """Slots of codes by a hash table on the device.
+
+    Args:
+        device: where.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._places = 0
+        self._held: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
+
+    def set(self, slots: dict[int, int], most: int) -> None:
+        """Say which code, above 0, is in which slot below `most`; stamps of before are lost."""
+        self._places = 1 << max(2 * len(slots), 16).bit_length()
+        keys, found = np.zeros(self._places, np.uint64), np.full(self._places, -1, np.int32)
+        for code, slot in slots.items():
+            at = (code * 0x9E3779B97F4A7C15 >> 32) & 0xFFFFFFFF & (self._places - 1)
+            while keys[at]:
+                at = (at + 1) & (self._places - 1)
+            keys[at], found[at] = code, slot
+        upload = self._device.upload
+        self._held = upload(keys), upload(found), self._device.zeros(most, np.uint32)
+
+    def find(self, codes: DeviceArray, chosen: DeviceArray, stamp: int) -> list[int]:
+        """Write the slots of codes uint64 [I] to int32 [I]; 0 and those that are in none: -1.
+
+        Returns:
+            The codes that are in none, once each, in ascending order.
+        """
+        assert self._held is not None
+        keys, slots, stamps = self._held
+        count = len(codes)
+        missing = self._device.empty(count + 1, np.uint64)
+        self._device.fill(missing[:1], 0)
+        record = FindSlots(
+            *(codes, np.uint32(count), keys, slots, np.uint32(self._places)),
+            *(np.uint32(stamp), stamps, chosen, missing),
+        )
+        self._device.load(SOURCE)["find_slots"].launch(-(-count // 128), 128, record)
+        lacking = int(missing[:1].numpy()[0])
+        return sorted(set(missing[1 : 1 + lacking].numpy().tolist())) if lacking else []
+
+    def stamps(self) -> NDArray[np.uint32]:
+        """When each slot was last found, by the stamps given since `set`."""
+        return np.zeros(0, np.uint32) if self._held is None else self._held[2].numpy()
+
+
+def _find_capsule(one: Posing) -> F32:
+    """A box that holds all of a pose, and the largest reach of a splat [7]; without its splats.
+
+    What hangs on joints is a mean of places none of which is further from where a joint goes than
+    it was at rest.
+    """
+    hangs = one.rest.reach[:, 0] >= 0
+    reach, at = one.rest.reach[hangs, :1], one.rest.reach[hangs, 1:]
+    placed = np.einsum("jab,jb->ja", one.transforms[hangs, :, :3], at) + one.transforms[hangs, :, 3]
+    corners = np.concatenate([placed - reach, placed + reach, one.floor[:, :3], [_MIDDLE]])
+    found = np.empty(7, np.float32)
+    found[:3], found[3:6] = corners.min(axis=0) - _SLACK, corners.max(axis=0) + _SLACK
+    found[6] = one.rest.widest
+    return found
+
+
+def _choose_step(box: F32, number: int) -> float:
+    """The finest step [m] that holds a box of centres.
+
+    Raises:
+        RenderError: it is too coarse.
+    """
+    most = max(float(np.abs(box[:6].reshape(2, 3) - _MIDDLE).max()), 0.5)
+    step = float(np.float32(most / _STEPS))
+    if not step <= STEP_MOST:
+        raise RenderError(
+            f"it reaches {most:.1f} m from its middle; 16 bytes hold {_STEPS * STEP_MOST:.1f} m",
+            where=f"pose {number}",
+            remedy="name its cloud to the renderer instead (name_cloud), which is not packed so",
+        )
+    return step
+
+
+def _find_reach(cloud: RestCloud, joint: NDArray[np.uint8], body: int) -> F64:
+    """Of each joint, the greatest distance of what hangs on it, and the joint's place [55, 4]."""
+    found = np.full((_JOINTS, 4), -1.0)
+    found[:, 1:] = cloud.joints
+    for k in range(min(cloud.joint.shape[1], _INFLUENCES)):
+        mine = np.flatnonzero(cloud.weight[:body, k] > 0)
+        number = joint[mine, k]
+        away = np.linalg.norm(cloud.points[mine] - cloud.joints[number], axis=1)
+        np.maximum.at(found[:, 0], number, away)
+    return found
+
+
+def _check(cloud: RestCloud) -> None:
+    if len(cloud) > PART_SPLATS_MAX:
+        raise RenderError(
+            f"a person of {len(cloud):,} splats; keys number {PART_SPLATS_MAX:,}", where="person"
+        )
+    for name in ("points", "normals", "quats", "scales", "opacities", "colours", "weight"):
+        if not np.isfinite(getattr(cloud, name)).all():
+            raise RenderError("values that are not finite", where=f"person, {name}")
+    if cloud.joint.size and int(cloud.joint.max()) >= _JOINTS:
+        raise RenderError(
+            f"a splat hangs on joint {int(cloud.joint.max())} of {_JOINTS}", where="person, joint"
+        )

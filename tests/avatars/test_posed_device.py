@@ -1,0 +1,224 @@
+"""Posed people on a device, in the host emulation: skinned there, packed, and kept in a bank."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from gn0.avatars.avatar import SHADOWS, Avatar
+from gn0.avatars.posed_device import PosedBankDevice, posing_of, rest_of
+from gn0.avatars.poses import standing_pose, stride_pose
+from gn0.device.host import DeviceHost
+from gn0.errors import ConfigError, RenderError
+from gn0.gaussians.cloud import GaussianCloud, join_clouds
+from gn0.geometry import F64, rotation_from_quaternion
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.cuda.batch import RendererBatch
+from gn0.render.cuda.posed import bring_rest, pose_clouds
+from gn0.render.instance import Instance, PartsDevice, move_instance
+from gn0.render.renderer import RenderOptions
+from gn0.testing.renderer_check import psnr
+from gn0_figures.flat import build_flat, flat_views
+from gn0_trials.people_small import small_person
+
+pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+
+CAMERA = Camera.from_hfov(48, 36, 70.0)
+VIEW = flat_views(10)[7]  # 1.8 m from a wall
+FLOAT = RenderOptions(rgb_float=True)
+GAIN = np.array([[0.7, 0.6, 0.5], [0.2, 0.1, 0.1], [0.1, -0.2, 0.0], [0.2, 0.2, 0.3]], np.float32)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """The small person in a stride so far into it."""
+
+    bend: float = 0.0
+    avatar: Avatar = small_person(0, 0.1)
+    rest_key: str = "small"
+
+    def turn(self) -> tuple[F64, F64]:
+        pose = np.array(stride_pose())
+        pose[3] += (self.bend, 0.0, 0.1 * self.bend)
+        return pose, np.array([0.02, 0.01, -0.03])
+
+
+def posed(bend: float = 0.0) -> GaussianCloud:
+    return Posture().avatar.pose(*Posture(bend).turn())
+
+
+def stand(ahead: float = 1.4, y: float = 0.1, turn: float = 2.5, cloud: str = "") -> Instance:
+    """On the floor, so far ahead of the eye and to the left."""
+    pose = np.eye(4)
+    c, s = np.cos(turn), np.sin(turn)
+    pose[:2, :2] = (c, -s), (s, c)
+    pose[:2, 3] = (np.linalg.inv(VIEW) @ (-y, 0.0, ahead, 1.0))[:2]
+    return Instance(cloud, pose, GAIN)
+
+
+@pytest.mark.parametrize("pose", [standing_pose(), stride_pose()])
+def test_the_device_skins_as_the_cpu_does(pose: F64) -> None:
+    """Centres to 0.01 mm, axes and normals to hundredths of a degree."""
+    avatar, device = small_person(1, 0.1), DeviceHost(checked=True)
+    rest = bring_rest(device, rest_of(avatar))
+    shift = np.array([0.1, 0.05, -0.2])
+    (cloud,) = pose_clouds(device, [posing_of(avatar, rest, pose, shift)])
+    want = avatar.pose(pose, shift)
+    words, index = cloud.splats.numpy()[: cloud.alive], cloud.order.numpy()[: cloud.alive]
+    assert sorted(index.tolist()) == list(range(len(want))), "each splat once"
+    first, second = (words[:, k] | words[:, k + 1].astype(np.uint64) << 32 for k in (0, 2))
+    steps = np.stack([(first >> 21 * k) & 0x1FFFFF for k in range(3)], axis=1)
+    places = (steps.astype(np.float64) - 2**20) * cloud.step + (0, 0, 1)
+    assert np.abs(places - want.means[index]).max() <= 1e-5 and cloud.step < 3e-6
+    body = index < len(avatar)
+    turn = (second[body] & (2**40 - 1)) | (first[body] >> 63) << 40
+    three = np.stack([(turn >> 13 * k) & 0x1FFF for k in range(3)], axis=1).astype(np.float64)
+    three = (three - 2**12) * (np.sqrt(0.5) / (2**12 - 1))
+    out, rows = (turn >> 39).astype(int), np.arange(body.sum())
+    quats = np.zeros((len(rows), 4))
+    for k in range(3):
+        quats[rows, k + (k >= out)] = three[:, k]
+    quats[rows, out] = np.sqrt(1 - (three**2).sum(axis=1))
+    got = rotation_from_quaternion(quats)
+    truth = rotation_from_quaternion(want.quats[index[body]].astype(np.float64))
+    assert np.abs(got - truth).max() < 8e-4
+    x, y = ((second >> at & 0xFFF).astype(np.float64) / 2047.0 - 2048 / 2047 for at in (40, 52))
+    z = 1 - abs(x) - abs(y)
+    fold = np.maximum(-z, 0)
+    normal = np.stack([x - np.copysign(fold, x), y - np.copysign(fold, y), z], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    assert np.abs(normal - want.normal[index]).max() < 1e-3
+
+
+@pytest.fixture(scope="module")
+def batch() -> RendererBatch:
+    renderer = RendererBatch(DeviceHost(), FLOAT)
+    renderer.keep("flat", SCENE)
+    return renderer
+
+
+SCENE = build_flat(2500)
+
+
+def test_packed_people_are_as_good_as_moved_splats(batch: RendererBatch) -> None:
+    bank = PosedBankDevice(batch)
+    (slot,) = bank.fetch([("stride", Posture())])
+    one = stand(cloud=bank.name(slot))
+    drawn = [batch.render(CAMERA, VIEW, "flat", parts=[one]) for _ in range(4)]
+    assert len({tuple(d.rgb.tobytes() for d in (one,)) for one in drawn}) == 1, "recorded as well"
+    cpu = RendererCpu(SCENE, FLOAT)
+    cpu.name_cloud("him", posed())
+    moved = cpu.render(CAMERA, VIEW, extra=move_instance(posed(), stand()))
+    for want in (moved, cpu.render(CAMERA, VIEW, parts=[stand(cloud="him")])):
+        assert psnr(drawn[0].rgb[0], want.rgb[0]) >= 75
+        both = np.isfinite(drawn[0].depth[0]) & np.isfinite(want.depth[0])
+        assert np.quantile(abs(drawn[0].depth[0] - want.depth[0])[both], 0.99) <= 1e-4
+    assert psnr(drawn[0].rgb[0], cpu.render(CAMERA, VIEW).rgb[0]) < 40, "somebody is there"
+
+
+def test_a_call_lacks_some_and_one_launch_makes_them(batch: RendererBatch) -> None:
+    bank = PosedBankDevice(batch)
+    keys = [("walk", k) for k in range(5)]
+    wanted = [(key, Posture(0.1 * key[1])) for key in keys]
+    first = bank.fetch([*wanted, wanted[0]])
+    assert (bank.hits, bank.misses, bank.launches, len(bank)) == (1, 5, 1, 5)
+    assert len(set(first)) == 5 and first[5] == first[0]
+    assert bank.fetch(wanted) == first[:5] and bank.launches == 1
+    parts = [[stand(y=0.4 * k - 0.8, cloud=bank.name(slot)) for k, slot in enumerate(first[:5])]]
+    got = batch.render(CAMERA, VIEW, "flat", parts=parts[0])
+    moved = [move_instance(posed(0.1 * k), stand(y=0.4 * k - 0.8)) for k in range(5)]
+    want = RendererCpu(SCENE, FLOAT).render(CAMERA, VIEW, extra=join_clouds(moved))
+    assert psnr(got.rgb[0], want.rgb[0]) >= 75
+
+
+def test_the_least_recent_make_room_and_recordings_hold(batch: RendererBatch) -> None:
+    size = PosedBankDevice(batch)
+    size.fetch([("one", Posture())])
+    bank = PosedBankDevice(batch, budget=3 * size.bytes)
+    pictures = []
+    for k in (0, 1, 2, 0, 3, 0, 1):
+        (slot,) = bank.fetch([(k, Posture(0.3 * k))])
+        one = stand(cloud=bank.name(slot))
+        pictures.append(batch.render(CAMERA, VIEW, "flat", parts=[one]).rgb.tobytes())
+        assert bank.bytes <= bank.budget and len(bank) <= 3
+    assert pictures[0] == pictures[3] == pictures[5] and pictures[1] == pictures[6]
+    assert len(set(pictures)) == 4
+    assert (bank.hits, bank.misses, bank.evicted) == (2, 5, 2), "1 went for 3, 2 for 1"
+    assert 1 not in PosedBankDevice(batch) and 0 in bank and 3 in bank
+    with pytest.raises(ConfigError, match="more than"):
+        bank.fetch([(k, Posture(0.1 * k)) for k in range(10, 14)])
+    assert sorted(k for k in range(20) if k in bank) == [0, 1, 3], "nothing has changed"
+    with pytest.raises(ConfigError, match="0 bytes"):
+        PosedBankDevice(batch, 0)
+
+
+def test_a_kernel_asks_by_codes(batch: RendererBatch) -> None:
+    """Codes that are there are found there; those that lack are posed, each once."""
+    device, bank = batch.device, PosedBankDevice(batch)
+    asked: list[int] = []
+
+    def pose(code: int) -> Posture:
+        asked.append(code)
+        return Posture(1e-3 * (code % 1000))
+
+    codes = np.array([17, 0, 2**62 + 5, 17, 900, 0], np.uint64)
+    chosen = device.empty(6, np.int32)
+    assert bank.find(device.upload(codes), chosen, pose) == 3
+    slots = chosen.numpy()
+    assert asked == [17, 900, 2**62 + 5] and bank.launches == 1
+    assert (slots == -1).tolist() == [False, True, False, False, False, True]
+    assert slots[0] == slots[3] and len(set(slots.tolist())) == 4
+    assert bank.find(device.upload(codes), chosen, pose) == 0 and len(asked) == 3
+    assert (chosen.numpy() == slots).all()
+    poses = np.stack([stand(y=0.5 * k - 1).pose for k in range(6)])
+    there = PartsDevice(
+        None, device.upload(poses), chosen, 3, device.upload(np.tile(GAIN, (6, 1, 1)))
+    )
+    views = device.upload(np.stack([VIEW, VIEW]))
+    got = batch.render(CAMERA, views, "flat", parts=there)
+    host = [
+        [
+            replace(stand(y=0.5 * k - 1), cloud=bank.name(int(slots[k])))
+            for k in row
+            if slots[k] >= 0
+        ]
+        for row in ((0, 1, 2), (3, 4, 5))
+    ]
+    want = batch.render(CAMERA, np.stack([VIEW, VIEW]), "flat", parts=host)
+    assert got.rgb.tobytes() == want.rgb.tobytes() and got.depth.tobytes() == want.depth.tobytes()
+
+
+def test_who_was_found_by_a_kernel_counts_as_used(batch: RendererBatch) -> None:
+    device, one = batch.device, PosedBankDevice(batch)
+    one.fetch([(1, Posture())])
+    bank = PosedBankDevice(batch, budget=2 * one.bytes)
+    chosen = device.empty(1, np.int32)
+    for code in (1, 2, 1, 3):
+        bank.find(device.upload(np.array([code], np.uint64)), chosen, lambda c: Posture(0.1 * c))
+    assert 1 in bank and 3 in bank and 2 not in bank
+
+
+def test_who_reaches_too_far_is_named_instead() -> None:
+    device, avatar = DeviceHost(), small_person(0, 0.1)
+    rest = bring_rest(device, rest_of(avatar))
+    far = posing_of(avatar, rest, stride_pose(), np.array([0.0, 0.0, 40.0]))
+    with pytest.raises(RenderError, match=r"pose 0.*16 bytes hold.*name_cloud"):
+        pose_clouds(device, [far])
+
+
+def test_three_thousand_clouds_of_ten_thousand_fit() -> None:
+    """What the default budget promises; the sizes are those that the bank counts by."""
+    from gn0.avatars.posed_device import _size_of
+
+    avatar = small_person(0, 0.1)
+
+    class Large(Avatar):
+        def __len__(self) -> int:
+            return 10_000 - SHADOWS
+
+    large = Large(**{name: getattr(avatar, name) for name in avatar.__dataclass_fields__})
+    assert 512 * 2**20 // _size_of(large) >= 3000

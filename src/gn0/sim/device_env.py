@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -41,8 +41,8 @@ from gn0.sim.device_eyes import (
     AgentsThere,
     EyesDevice,
     device_reader,
+    draws_people,
     refuse_host_sensors,
-    refuse_people_seen,
 )
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
 from gn0.sim.device_motion import MotionDevice
@@ -61,6 +61,10 @@ from gn0.sim.sensors import (
 )
 from gn0.sim.tasks import load_tasks
 from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
+
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
+    from gn0.sim.device_people_eyes import PeopleEyesDevice
 
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
@@ -111,12 +115,12 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
         vocabulary: how `instruction_tokens` are made, bytes when None; see
             `gn0.sim.words.Vocabulary`, whose fields it may also be.
+        bank: of the people of episodes who have names in one, its folder or itself.
 
     Raises:
-        ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
-            continuous actions.
-        EpisodeError: no episode, one of a scene that is not here, or one with people where sensors
-            would draw them.
+        ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves,
+            continuous actions, or what is not drawn beside people: motions, last pictures.
+        EpisodeError: no episode, one of a scene that is not here, or with people whom nobody plays.
         SimError: num_envs < 1 or too many, or an agent whose turns never come full circle.
         DeviceError: no such device here. DeviceMemoryError: it is too small.
         StorageError, FormatError: a file is missing or broken.
@@ -157,6 +161,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         channels_first: bool = False,
         history_tile: tuple[int, int] | None = None,
         vocabulary: Vocabulary | Mapping[str, Any] | None = None,
+        bank: AvatarBank | Path | str | None = None,
     ) -> None:
         self.num_envs = num_envs
         self.sensors, words = split_sensors(sensors)
@@ -181,13 +186,19 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         carried = config.carried
         refuse_host_sensors(carried.sensors)
         self._carried = carried
-        self._admit(self.tasks.episodes)
+        peopled = draws_people(self.tasks.episodes, carried.sensors)
+        if peopled and (motions or final_pictures):
+            raise ConfigError(
+                "motions and last pictures are not drawn beside people on a device",
+                remedy="leave out motions and final_pictures, or use VectorEnv",
+            )
         self._at_once = tuple(
             (s.name, device_reader(s, config)) for s in carried.sensors if s.many is not None
         )
         map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         self.device = _open(device) if isinstance(device, str) else device
         self._eyes: EyesDevice | None = None
+        people: PeopleEyesDevice | None = None
         if any(s.many is None for s in carried.sensors):
             if isinstance(renderer, str):
                 needed = carried.needs_renderer(False)
@@ -204,6 +215,10 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                     self.tasks.agent,
                     self.tasks.max_steps,
                 )
+            if peopled:
+                from gn0.sim.device_people_eyes import PeopleEyesDevice  # bodies are needed here
+
+                people = PeopleEyesDevice(self.tasks.scenes, chosen, camera.rgb.fx, bank)
             self._eyes = EyesDevice(
                 config,
                 self.tasks.scenes,
@@ -212,7 +227,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 map_shape,
                 visible_sets,
                 motion,
+                people,
             )
+        self._admit(self.tasks.episodes)
         self.simulator = SimulatorDevice(
             num_envs,
             self.device,
@@ -227,6 +244,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
             company=self._company,
+            roles=None if people is None else people.roles_of,
         )
         self.copy, self.channels_first = copy, channels_first
         moved = picture_names(self.sensors, camera) if channels_first else ()
@@ -601,7 +619,16 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         Raises:
             EpisodeError: names the first of them.
         """
-        refuse_people_seen(episodes, self._carried.sensors)
+        people = None if self._eyes is None else self._eyes.people
+        if people is not None:
+            for episode in episodes:
+                people.check(episode)
+        elif draws_people(episodes, self._carried.sensors):
+            raise EpisodeError(
+                "has people, and no episode had any when their eyes were made",
+                where=f"episode {next(e.id for e in episodes if e.people)!r}",
+                remedy="give episodes with people to the environment when you make it",
+            )
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:

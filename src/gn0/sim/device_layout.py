@@ -22,7 +22,8 @@ EPISODE = np.dtype(
     [
         *((name, np.uint64) for name in (
             "compact", "labels", "roots", "headings", "directions", "grey", "bev",
-            "walls", "people", "lines", "points", "holds",
+            "walls", "people", "lines", "points", "holds", "roles", "light_column", "light_places",
+            "light_gains",
         )),
         *((name, np.float64) for name in (
             "x", "y", "resolution", "start_x", "start_y", "goal_x", "goal_y",
@@ -30,7 +31,7 @@ EPISODE = np.dtype(
         )),
         *((name, np.int32) for name in (
             "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene", "look",
-            "stays", "persons", "followed", "unused_0", "unused_1", "unused_2",
+            "stays", "persons", "followed", "light_cols", "light_rows", "light_count",
         )),  # whole words of 16 bytes
     ],
     align=True,
@@ -91,6 +92,18 @@ CROWD = np.dtype(
     align=True,
 )  # fmt: skip
 
+# what a person brings to its looks; see `shown.cu`
+ROLE = np.dtype(
+    [
+        *((name, np.float64) for name in ("stride", "forward", "lasts")),
+        *((name, np.int32) for name in (
+            "number", "offset", "gait", "idle", "idle_rows", "clip", "clip_rows", "clip_loops",
+            "clip_rowed", "unused",
+        )),
+    ],
+    align=True,
+)  # fmt: skip
+
 # what is told of following, and of those that ended
 FOLLOW_FIELDS: tuple[tuple[str, Any], ...] = (
     ("follows", np.bool_),
@@ -132,12 +145,13 @@ PEOPLE = KernelSource(
     "people",
     tuple(
         KERNELS / f"{part}.cu"
-        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow")
+        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow", "shown")
     ),
     (
         *SOURCE.defines,
         ("CROWD_BYTES", CROWD.itemsize),
         ("FOLLOWING_BYTES", FOLLOWING.itemsize),
+        ("ROLE_BYTES", ROLE.itemsize),
         ("PEOPLE_MOST", PEOPLE_MOST),
         ("REALS", REALS),
         ("WHOLES", WHOLES),

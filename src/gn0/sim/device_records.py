@@ -1,8 +1,8 @@
 """What the kernels of batched simulation are given, by name; see `gn0.device.records`.
 
 Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu`, `place.cu`, `expert.cu`,
-`crowd.cu` and `follow.cu`; `w`, `c`, `f` are the structs `World`, `Crowd`, `Following` of
-`device_layout`, `out` the struct `Outputs` where it is no array.
+`crowd.cu`, `follow.cu` and `shown.cu`; `w`, `c`, `f` are the structs `World`, `Crowd`, `Following`
+of `device_layout`, `out` the struct `Outputs` where it is no array.
 """
 
 from __future__ import annotations
@@ -131,6 +131,18 @@ class WidenCrowd(NamedTuple):
     to: np.int32
     count_: np.int32
     out: DeviceArray
+
+
+class ShowPeople(NamedTuple):
+    """`show_people`: who is seen how, where and in which light."""
+
+    w: np.void
+    c: np.void
+    from_: DeviceArray
+    levels: np.int32
+    codes: DeviceArray
+    poses: DeviceArray
+    gains: DeviceArray
 
 
 class ReadRanges(NamedTuple):

@@ -74,6 +74,7 @@ class SimulatorDevice:
         ahead: draws held ready for each.
         pictures: look → static map pictures, when they are wanted.
         company: what people around agents are to them.
+        roles: episode → what its people bring to their looks, when they are drawn.
 
     Attributes:
         outputs: what the last step or reset wrote, [N, …] by name; see `device_layout`.
@@ -100,6 +101,7 @@ class SimulatorDevice:
         ahead: int,
         pictures: Callable[[str], MapPictures] | None = None,
         company: type[CompanyDevice] = CompanyDevice,
+        roles: Callable[[Episode], NDArray[Any]] | None = None,
     ) -> None:
         if not 1 <= count <= AGENTS_MAX or max_steps < 1 or not 1 <= ahead <= 1024:
             raise SimError(
@@ -117,6 +119,7 @@ class SimulatorDevice:
             host_memory=host_memory,
             rays=rays,
             pictures=pictures,
+            roles=roles,
         )
         self.company = company(self)
         self.numbers = self.add_episodes(episodes)

@@ -13,7 +13,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -43,6 +43,9 @@ from gn0.sim.ground import (
 from gn0.sim.open import name_look
 from gn0.sim.sensors import MapFrame
 
+if TYPE_CHECKING:
+    from gn0.sim.device_people_eyes import LookLight
+
 _log = logging.getLogger(__name__)
 _WORD = 16  # bytes that a thread of `store_rows` copies
 _BUILDERS = 16  # threads that build fields at most
@@ -56,11 +59,13 @@ class MapPictures(NamedTuple):
         frame: where their pixels lie.
         grey: occupancy picture [H, W], or None.
         bev: [H, W, 3], or None.
+        light: on people, where they are drawn.
     """
 
     frame: MapFrame
     grey: U8 | None
     bev: U8 | None
+    light: LookLight | None = None
 
 
 @dataclass(eq=False)
@@ -75,6 +80,7 @@ class _Held:
     shape: tuple[int, int] = (0, 0)
     number: int = 0  # of a look
     sizes: tuple[int, int] = (0, 0)  # bytes of its pictures
+    light: tuple[int, int, int] = (0, 0, 0)  # cells of its probes, and how many there are
 
 
 class EpisodeStore:
@@ -92,6 +98,7 @@ class EpisodeStore:
         host_memory: bytes of maps and fields kept on the host, beside those on the device.
         rays: angles [R] rad of range rays relative to the yaw, if their directions are wanted.
         pictures: look → the static pictures, if they are wanted.
+        roles: episode → what its people bring to their looks, if they are drawn.
     """
 
     def __init__(
@@ -105,6 +112,7 @@ class EpisodeStore:
         host_memory: int = 0,
         rays: F64 | None = None,
         pictures: Callable[[str], MapPictures] | None = None,
+        roles: Callable[[Episode], NDArray[Any]] | None = None,
     ) -> None:
         self.device = device
         self.agent = agent
@@ -116,7 +124,7 @@ class EpisodeStore:
         self._host_memory = host_memory
         self.ground = GroundStore(scenes, agent.radius, memory=host_memory)
         self._scene_number = {name: k for k, name in enumerate(self.scene_ids)}
-        self._rays, self._pictures = rays, pictures
+        self._rays, self._pictures, self._roles = rays, pictures, roles
         self._numbers = EpisodeNumbers()
         self._checked: set[int] = set()
         self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
@@ -376,7 +384,9 @@ class EpisodeStore:
         row["reach"] = episode.success_within(0.0)
         row["number"], row["scene"] = number, self._scene_number[episode.scene_id]
         if look is not None:
-            row["grey"], row["bev"] = look.pointers
+            row["grey"], row["bev"], *light = look.pointers
+            row["light_column"], row["light_places"], row["light_gains"] = light
+            row["light_cols"], row["light_rows"], row["light_count"] = look.light
             row["map_x"], row["map_y"], row["map_scale"] = look.frame
             row["map_rows"], row["map_cols"] = look.shape
             row["look"] = look.number
@@ -388,7 +398,9 @@ class EpisodeStore:
         """Write where the people of an episode are found; their routes are the last of its own."""
         row = self._rows[slot]
         row["walls"], row["persons"] = walls.pointers[0], len(episode.people)
-        row["people"], row["lines"], row["points"], row["holds"] = own.pointers[-4:]
+        names = ("people", "lines", "points", "holds", "roles")
+        for name, pointer in zip(names, own.pointers[-5:], strict=True):
+            row[name] = pointer
         if episode.followed is not None:
             target = follow_target(episode)
             row["followed"] = target.row
@@ -501,11 +513,14 @@ class EpisodeStore:
 
     def _bring_look(self, name: str) -> _Held:
         assert self._pictures is not None
-        frame, grey, bev = self._pictures(name)
+        frame, grey, bev, light = self._pictures(name)
         shape = (frame.height, frame.width)
         empty = np.zeros(0, np.uint8)
         grey, bev = empty if grey is None else grey, empty if bev is None else bev
-        held = self._put(grey, bev)
+        column = np.zeros((0, 0), np.int32) if light is None else light.column
+        places, gains = (np.zeros(0),) * 2 if light is None else (light.places, light.gains)
+        held = self._put(grey, bev, column, places, gains)
+        held.light = (*column.shape, len(places))
         held.sizes = (grey.nbytes, bev.nbytes)
         held.frame = (frame.x_min, frame.y_min, frame.metres_per_pixel)
         held.shape = shape
@@ -527,7 +542,13 @@ class EpisodeStore:
         if base is not None:
             episode = msgspec.structs.replace(episode, start=(*episode.start[:2], base))
         headings = list_headings(episode, self.agent)
-        routes = pack_routes(episode.people) if episode.people else ()
+        routes: tuple[NDArray[Any], ...] = ()
+        if episode.people:
+            empty = np.zeros(0, np.uint8)
+            routes = (
+                *pack_routes(episode.people),
+                empty if self._roles is None else self._roles(episode),
+            )
         if self._rays is None:
             return self._put(headings, *routes)
         angles = (headings[:, :1] + self._rays).ravel().tolist()

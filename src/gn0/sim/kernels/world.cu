@@ -20,6 +20,10 @@ struct Episode {
   const double *lines;       // [persons, 4] of `Routes`
   const double *points;      // [points, 7] of `Routes`
   const double *holds;       // [stops, 4] of `Routes`
+  const void *roles;         // [persons] of `Role`; or null where nobody is drawn
+  const int *light_column;   // [light_cols, light_rows] probes of a cell; or null where nobody is drawn
+  const double *light_places;  // [light_count, 2] m
+  const double *light_gains;   // [light_count, 4, 3]
   double x, y, resolution;   // of the map: its origin [m], and of a cell [m]
   double start_x, start_y, goal_x, goal_y;
   double map_x, map_y, map_scale;  // of the map pictures: lower left corner [m], m a pixel
@@ -30,7 +34,7 @@ struct Episode {
   int stays;                 // STOP stands still for one action
   int persons;               // people in it
   int followed;              // row of whom to follow
-  int unused[3];
+  int light_cols, light_rows, light_count;
 };
 static_assert(sizeof(Episode) == EPISODE_BYTES, "device_layout.EPISODE differs from Episode");
 

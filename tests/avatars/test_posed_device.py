@@ -14,15 +14,16 @@ from gn0.avatars.poses import standing_pose, stride_pose
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, RenderError
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
-from gn0.geometry import F64, rotation_from_quaternion
+from gn0.geometry import F64, rotation_from_quaternion, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.posed import bring_rest, pose_clouds
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
+from gn0.render.visible_places import VisibleOptions
 from gn0.testing.renderer_check import psnr
-from gn0_figures.flat import build_flat, flat_views
+from gn0_figures.flat import EYE, build_flat, flat_floor, flat_views
 from gn0_trials.people_small import small_person
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
@@ -30,6 +31,7 @@ pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulat
 CAMERA = Camera.from_hfov(48, 36, 70.0)
 VIEW = flat_views(10)[7]  # 1.8 m from a wall
 FLOAT = RenderOptions(rgb_float=True)
+COARSE = VisibleOptions(cell=4.0, places=1, pixels=16, coarse=1)
 GAIN = np.array([[0.7, 0.6, 0.5], [0.2, 0.1, 0.1], [0.1, -0.2, 0.0], [0.2, 0.2, 0.3]], np.float32)
 
 
@@ -38,8 +40,11 @@ class Posture:
     """The small person in a stride so far into it."""
 
     bend: float = 0.0
-    avatar: Avatar = small_person(0, 0.1)
     rest_key: str = "small"
+
+    @property
+    def avatar(self) -> Avatar:
+        return small_person(0, 0.1)
 
     def turn(self) -> tuple[F64, F64]:
         pose = np.array(stride_pose())
@@ -222,3 +227,100 @@ def test_three_thousand_clouds_of_ten_thousand_fit() -> None:
 
     large = Large(**{name: getattr(avatar, name) for name in avatar.__dataclass_fields__})
     assert 512 * 2**20 // _size_of(large) >= 3000
+
+
+def board(x: float, low: float, high: float) -> GaussianCloud:
+    """An opaque board across the view at distance x, from height `low` to `high`."""
+    y, z = np.meshgrid(np.arange(-3.0, 3.0, 0.05), np.arange(low, high, 0.05))
+    n = y.size
+    return GaussianCloud(
+        means=np.column_stack([np.full(n, x), y.ravel(), z.ravel()]).astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        scales=np.tile(np.array([0.002, 0.05, 0.05], np.float32), (n, 1)),
+        opacities=np.full(n, 0.99, np.float32),
+        sh=np.full((n, 1, 3), -0.7, np.float32),
+    )
+
+
+def test_who_is_behind_a_wall_or_a_table() -> None:
+    """A wall leaves no pixel of a person, a table what stands out above it; as on the CPU."""
+    batch, look = RendererBatch(DeviceHost()), view_from_pose(0.0, 0.0, 1.2, 0.0)
+    bank = PosedBankDevice(batch)
+    (slot,) = bank.fetch([("stride", Posture())])
+    pose = np.diag((-1.0, -1.0, 1.0, 1.0))  # faces the eye
+    pose[0, 3] = 3.0
+    shares = []
+    for name, scene in (("wall", board(2.0, -1.0, 3.5)), ("table", board(2.0, 0.0, 0.8))):
+        batch.keep(name, scene)
+        cpu = RendererCpu(scene)
+        cpu.name_cloud("him", posed())
+        found = batch.render_who(CAMERA, look, name, parts=[Instance(bank.name(slot), pose)])
+        want = cpu.render_who(CAMERA, look, parts=[Instance("him", pose)])
+        assert (found.numbers == want.numbers).all() and found.seen == want.seen
+        shares.append(found.seen[0][0].share)
+        assert found.seen[0][0].whole > 30
+    assert shares[0] == 0 and 0.3 < shares[1] < 0.8
+    (seen,) = found.seen[0]
+    assert seen.box is not None and seen.box[3] < 26, "nothing of him below the table's top"
+
+
+def test_several_scenes_sets_and_views_on_the_device(batch: RendererBatch) -> None:
+    """All ways give the same bytes; who is out of sight is listed nowhere, and changes none."""
+    device, bank = batch.device, PosedBankDevice(batch)
+    batch.keep("other", build_flat(1500, seed=1))
+    for key in ("flat", "other"):
+        batch.limit_to_visible(key, key, flat_floor(), EYE, COARSE, cache=False)
+    slots = bank.fetch([(k, Posture(0.2 * k)) for k in range(2)])
+    views, keys = np.stack([VIEW, flat_views(10)[9], VIEW]), ["flat", "other", "other"]
+    rows = [[(0, 1.4, 0.2), (1, 1.6, -0.3)], [], [(1, 1.3, 0.0)]]
+    host = [[stand(a, y, cloud=bank.name(slots[k])) for k, a, y in row] for row in rows]
+    poses, chosen = np.zeros((3, 4, 4, 4)), np.full((3, 4), -1, np.int32)
+    poses[:, 3], chosen[:, 3] = stand().pose, slots[0]
+    poses[:, 3, 2, 3] = 50.0  # high above: in nobody's sight
+    for v, row in enumerate(rows):
+        for n, (k, a, y) in enumerate(row):
+            poses[v, n], chosen[v, n] = stand(a, y).pose, slots[k]
+    there = PartsDevice(
+        None, device.upload(poses.reshape(12, 4, 4)), device.upload(chosen.ravel()), 4,
+        device.upload(np.tile(GAIN, (12, 1, 1))),
+    )  # fmt: skip
+    which = device.upload(np.array([0, 1, 1], np.int32))
+    for visible in (False, True):
+        drawn = [batch.render(CAMERA, views, keys, parts=host, visible=visible)]
+        entries = batch.drawer.entries
+        drawn += [batch.render(CAMERA, views, keys, parts=host, visible=visible) for _ in range(2)]
+        drawn.append(
+            batch.draw(
+                *(CAMERA, device.upload(views), ["flat", "other"]),
+                chosen=which,
+                parts=there,
+                visible=visible,
+            ).numpy()
+        )
+        assert batch.drawer.entries == entries
+        assert len({(one.rgb.tobytes(), one.depth.tobytes()) for one in drawn}) == 1
+        bare = batch.render(CAMERA, views, keys, visible=visible)
+        assert psnr(drawn[0].rgb[0], bare.rgb[0]) < 40 and (drawn[0].rgb[1] == bare.rgb[1]).all()
+
+
+@pytest.mark.slow
+def test_no_thread_meets_another() -> None:
+    """Skinning, looking up and drawing under the emulation's checker of races."""
+    batch = RendererBatch(DeviceHost(seed=3, checked=True))
+    batch.keep("flat", SCENE)
+    device, bank = batch.device, PosedBankDevice(batch)
+    chosen = device.empty(2, np.int32)
+    codes = device.upload(np.array([5, 9], np.uint64))
+    assert bank.find(codes, chosen, lambda code: Posture(0.01 * code)) == 2
+    poses = device.upload(np.stack([stand(y=0.3).pose, stand(y=-0.3).pose]))
+    there = PartsDevice(None, poses, chosen, 2, device.upload(np.stack([GAIN, GAIN])))
+    seen = batch.draw(CAMERA, device.upload(VIEW[None]), "flat", parts=there).numpy()
+    plain = RendererBatch(DeviceHost())
+    plain.keep("flat", SCENE)
+    other = PosedBankDevice(plain)
+    slots = other.fetch([(code, Posture(0.01 * code)) for code in (5, 9)])
+    parts = [stand(y=y, cloud=other.name(s)) for s, y in zip(slots, (0.3, -0.3), strict=True)]
+    want = plain.render(CAMERA, VIEW, "flat", parts=parts)
+    assert seen.rgb.tobytes() == want.rgb.tobytes()
+    who = batch.render_who(CAMERA, VIEW, "flat", parts=[stand(cloud=bank.name(slots[0]))])
+    assert who.numbers.any()

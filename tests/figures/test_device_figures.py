@@ -30,6 +30,7 @@ from gn0_figures import (
     device_suite,
     device_table,
     ego,
+    people_render_cuda,
     rival,
 )
 from gn0_figures.agreement import tail_before
@@ -43,7 +44,7 @@ from gn0_figures.floor import count_work
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
 MODULES = (
     *(device_checks, device_table, device_parts, device_labels, device_rates, device_suite),
-    *(device_sanitizers, device_people, ego),
+    *(device_sanitizers, device_people, ego, people_render_cuda),
 )
 FIGURES = [figure for module in MODULES for figure in module.FIGURES]
 

@@ -1,76 +1,88 @@
-"""People around agents on the device: bit by bit those of VectorEnv, in numbers."""
+"""People on the device: posed there, found by a kernel, drawn on every way, told apart."""
 
 from __future__ import annotations
 
-import msgspec
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import AgentSpec
-from gn0.people.plan import PeopleSettings, plan_people
-from gn0.scenes import build_example_scene
-from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.follow_device import FollowVectorEnvDevice
-from gn0.sim.follow_vector import FollowVectorEnv
-from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+from gn0.avatars.avatar import Avatar
+from gn0.avatars.posed_device import PosedBankDevice
+from gn0.avatars.poses import stride_pose
+from gn0.gaussians.cloud import join_clouds
+from gn0.geometry import F64
+from gn0.render.cpu import RendererCpu
+from gn0.render.cuda.batch import RendererBatch
+from gn0.render.instance import Instance, PartsDevice, move_instance
+from gn0.render.renderer import RenderOptions
+from gn0.testing.renderer_check import psnr
+from gn0_figures.device_scenes import flat_scene
+from gn0_figures.flat import flat_camera
+from gn0_figures.moving import GAIN
+from gn0_figures.people_walking import find_views
+from gn0_trials.people_small import small_person
 
-BODY = AgentSpec(radius=0.25, step_seconds=0.2)
-WALK = [0.03, 0.67, 0.15, 0.15]
+FLOAT = RenderOptions(rgb_float=True)
 
 
-@pytest.fixture(scope="module")
-def crowded():
-    """Two floor plans, and episodes of up to eight people in them."""
-    scenes = [
-        build_map_scene(build_floor_plan(k, width=8.0, depth=7.0), f"plan-{k}") for k in range(2)
+@dataclass(frozen=True)
+class Posture:
+    """The small person, so far into a stride."""
+
+    code: int
+    rest_key: str = "small"
+
+    @property
+    def avatar(self) -> Avatar:
+        return small_person(0, 0.1)
+
+    def turn(self) -> tuple[F64, F64]:
+        pose = np.array(stride_pose())
+        pose[3, 0] += 0.02 * self.code
+        return pose, np.zeros(3)
+
+
+@pytest.mark.small
+def test_people_are_drawn_alike_on_every_way(device, scale) -> None:
+    """Against moved splats, recorded, by slots that a kernel found; and who is who."""
+    scene, camera = flat_scene(scale.splats, 0), flat_camera(scale.pixels, scale.pixels)
+    looks = find_views(scene, scale.views, 2.0, device.kind == "host")
+    batch, cpu = RendererBatch(device, FLOAT), RendererCpu(scene.cloud, FLOAT)
+    batch.keep("flat", scene.cloud)
+    bank, chosen = PosedBankDevice(batch), device.empty(2 * len(looks), np.int32)
+    codes = device.upload(np.tile(np.array([3, 8], np.uint64), len(looks)))
+    assert bank.find(codes, chosen, Posture) == 2 and bank.find(codes, chosen, Posture) == 0
+    assert bank.launches == 1
+    slots = chosen.numpy()
+    poses = np.tile(np.eye(4), (len(slots), 1, 1))
+    for n, pose in enumerate(poses):
+        back = np.linalg.inv(looks[n // 2])
+        pose[:2, 3] = (back @ (0.6 * (n % 2) - 0.3, 0.0, 1.2 + 0.2 * (n % 2), 1.0))[:2]
+    lit = np.tile(GAIN, (len(slots), 1, 1))
+    there = PartsDevice(None, device.upload(poses), chosen, 2, device.upload(lit))
+    parts = [
+        [Instance(bank.name(int(slots[2 * v + k])), poses[2 * v + k], GAIN) for k in range(2)]
+        for v in range(len(looks))
     ]
-    episodes = []
-    for scene in scenes:
-        ground = NavigationMap(scene.grid, BODY.radius)
-        for k, bare in enumerate(build_point_episodes(scene, ground, 4, agent=BODY)):
-            people = plan_people(scene, bare, PeopleSettings(count=8, seed=k))
-            episodes.append(msgspec.structs.replace(bare, id=f"{scene.id}-{k}", people=people))
-    return scenes, episodes
-
-
-def assert_same(there, here, device, steps, names) -> int:
-    """Step both; how many moves people cut."""
-    seen, want = there.reset(seed=5), here.reset(seed=5)
-    rng, hits = np.random.default_rng(1), 0
-    for t in range(steps):
-        for name in want[0]:
-            assert seen[0][name].numpy().tobytes() == want[0][name].tobytes(), (t, name)
-        for name in names:
-            assert seen[-1][name].numpy().tobytes() == want[-1][name].tobytes(), (t, name)
-        actions = rng.choice(4, there.num_envs, p=WALK)
-        seen, want = there.step(device.upload(actions)), here.step(actions)
-        for k in (1, 2, 3):
-            assert seen[k].numpy().tobytes() == want[k].tobytes(), (t, k)
-        hits += int((want[-1]["hit_person"] > 0).sum())
-    return hits
-
-
-@pytest.mark.small
-def test_people_are_those_of_the_cpu(device, crowded) -> None:
-    scenes, episodes = crowded
-    count, steps = (2048, 150) if device.kind == "cuda" else (12, 25)
-    settings = {"episodes": episodes, "sensors": ("goal_vector", "ranges", "pose"),
-                "max_steps": 60, "agent": BODY}  # fmt: skip
-    there = VectorEnvDevice(count, scenes, device=device, ahead=2, **settings)
-    here = VectorEnv(count, scenes, **settings)
-    names = ("people", "hit_person", "hit_tick", "pose")
-    assert assert_same(there, here, device, steps, names) > 0
-
-
-@pytest.mark.small
-def test_following_is_that_of_the_cpu(device) -> None:
-    """The built-in flat, one person ahead on every way."""
-    flat = build_example_scene()
-    count, steps = (2048, 150) if device.kind == "cuda" else (6, 20)
-    settings = {"sensors": ("ranges", "pose"), "max_steps": 60}
-    there = FollowVectorEnvDevice(count, flat, device=device, **settings)
-    here = FollowVectorEnv(count, flat, **settings)
-    names = ("people", "follows", "faced", "person_distance")
-    assert_same(there, here, device, steps, names)
+    drawn = [batch.render(camera, looks, "flat", parts=parts) for _ in range(3)]
+    drawn.append(batch.draw(camera, device.upload(looks), "flat", parts=there).numpy())
+    assert len({(one.rgb.tobytes(), one.depth.tobytes()) for one in drawn}) == 1
+    for code in (3, 8):
+        cpu.name_cloud(str(code), Posture(code).avatar.pose(*Posture(code).turn()))
+    for v, look in enumerate(looks):
+        own = [Instance(str(code), poses[2 * v + k], GAIN) for k, code in enumerate((3, 8))]
+        moved = [
+            move_instance(Posture(code).avatar.pose(*Posture(code).turn()), one)
+            for code, one in zip((3, 8), own, strict=True)
+        ]
+        for want in (
+            cpu.render(camera, look, extra=join_clouds(moved)),
+            cpu.render(camera, look, parts=own),
+        ):
+            assert psnr(drawn[0].rgb[v], want.rgb[0]) >= 75
+        found = batch.render_who(camera, look, "flat", parts=parts[v])
+        truth = cpu.render_who(camera, look, parts=own)
+        assert (found.numbers != truth.numbers).mean() < 2e-3
+        for mine, his in zip(found.seen[0], truth.seen[0], strict=True):
+            assert abs(mine.share - his.share) < 0.05

@@ -188,7 +188,7 @@ def test_no_thread_reads_what_another_may_be_writing(halls) -> None:
 
 
 def test_who_cannot_be_placed_is_refused_by_name(halls) -> None:
-    scenes, episodes = halls
+    episodes = halls[1]
     env, _ = build_pair(halls, 2)
     env.reset(seed=0)
     with pytest.raises(EpisodeError, match="small-1"):

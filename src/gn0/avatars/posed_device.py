@@ -2,8 +2,8 @@
 
 The same keys as `PosedBank` has. A cloud is a slot of the renderer's table of parts: an instance
 names the slot (`PartsDevice` without names), or the slot's name. Clouds are packed to 16 bytes a
-splat; what no pose changes lies beside them once a person and level of detail, as long as one of its
-clouds does.
+splat; what no pose changes lies beside them once a person and level of detail, as long as one of
+its clouds does.
 """
 
 from __future__ import annotations
@@ -47,10 +47,20 @@ class HoldsParts(Protocol):
 
     device: Device
 
-    def bring_rest(self, cloud: RestCloud) -> RestDevice: ...
-    def pose_parts(self, wanted: Sequence[Posing]) -> list[int]: ...
-    def drop_part(self, slot: int) -> None: ...
-    def name_part(self, slot: int) -> str: ...
+    def bring_rest(self, cloud: RestCloud) -> RestDevice:
+        """Bring a person at rest there."""
+        ...
+
+    def pose_parts(self, wanted: Sequence[Posing]) -> list[int]:
+        """Slots of clouds in poses."""
+        ...
+
+    def drop_part(self, slot: int) -> None:
+        """Free such a slot."""
+
+    def name_part(self, slot: int) -> str:
+        """Its name, for `Instance`."""
+        ...
 
 
 def rest_of(avatar: Avatar) -> RestCloud:

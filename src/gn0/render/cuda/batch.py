@@ -431,7 +431,7 @@ class RendererBatch:
         return WhoPictures(
             numbers,
             [
-                judge_seen(numbers[v], alone[end - len(row) : end])
+                judge_seen(numbers[v], list(alone[end - len(row) : end]))
                 for v, (row, end) in enumerate(zip(rows, ends.tolist(), strict=True))
             ],
         )

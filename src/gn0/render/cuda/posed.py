@@ -1,8 +1,8 @@
 """Clouds of people in poses, made on the device: skinned there, and packed to 16 bytes a splat.
 
-All clouds that a call lacks are made by one launch. What no pose changes (sizes, opacities, colours,
-the order of splats) lies there once a person and level of detail, 32 bytes a splat, and is shared
-by all poses; what skinning reads is another 64. See `kernels/posed.cuh` for the layout.
+All clouds that a call lacks are made by one launch. What no pose changes (sizes, opacities,
+colours, the order of splats) lies there once a person and level of detail, 32 bytes a splat, and
+is shared by all poses; what skinning reads is another 64. See `kernels/posed.cuh` for the layout.
 """
 
 from __future__ import annotations

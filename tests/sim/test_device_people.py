@@ -53,7 +53,7 @@ def assert_same_people(env, twin) -> None:
     crowd = twin.batch.company.crowd
     there = crowd.route >= 0
     same(env.simulator.company.read_state("real")[there], crowd.real[there])
-    same(env.simulator.company.read_state("whole")[there], crowd.whole[there].astype(np.int32))
+    same(env.simulator.company.read_state("whole")[there], crowd.whole[there])
 
 
 def build_pair(halls, count, device=None, **settings):
@@ -223,7 +223,10 @@ def test_kernels_have_the_numbers_of_the_numba_code() -> None:
     known = vars(person) | vars(route) | vars(reach)
     both = {name: float(value) for name, value in found.items() if name in known}
     assert both == {name: known[name] for name in both}
-    assert len(both) >= 25
-    lists = re.findall(r"const (?:double|int) (\w+)\[\d\] = \{([^}]*)\}", text)
+    assert len(both) >= 33
+    columns = re.findall(r"f\((\d+), (\w+), \w+\)", text)
+    assert all(known[name.upper()] == int(number) for number, name in columns)
+    assert len(columns) == reach.REALS + reach.WHOLES
+    lists = re.findall(r"const (?:double|int) (\w+)\[\d+\] = \{([^}]*)\}", text)
     theirs = [reach.ROUND_COS, reach.ROUND_SIN, reach.ROUND_COS20, reach.ROUND_SIN20, reach.TURNS]
     assert [tuple(map(float, values.split(","))) for _, values in lists] == theirs

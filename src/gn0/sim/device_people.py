@@ -57,7 +57,7 @@ def mark_walls(grid: OccupancyGrid) -> U8:
 
 
 def pack_routes(people: Sequence[EpisodePerson]) -> tuple[NDArray[Any], ...]:
-    """Routes of the people of one episode: int32 [P, 8], then the other arrays of `Routes`.
+    """Routes of the people of one episode: int32 [P, 9], then the other arrays of `Routes`.
 
     A row's columns are those of `Routes.table`, and the person's number.
     """
@@ -128,7 +128,7 @@ class CompanyDevice:
         self._kernels = self._kernels or self._device.load(PEOPLE)
         fresh = {
             "real": zeros((REALS, places, count), np.float64),
-            "whole": zeros((WHOLES, places, count), np.int32),
+            "whole": zeros((WHOLES, places, count), np.int64),
             "cut": zeros(count, np.bool_),
         }
         if before:
@@ -224,7 +224,7 @@ class CompanyDevice:
         """What people around `agents` int32 [K] do, in rows that `restore` understands."""
         count = len(agents)
         real = self._device.empty((count, PEOPLE_MOST, REALS), np.float64)
-        whole = self._device.empty((count, PEOPLE_MOST, WHOLES), np.int32)
+        whole = self._device.empty((count, PEOPLE_MOST, WHOLES), np.int64)
         saving = SavePeople(self._simulator.world, self.crowd, agents, np.int32(count), real, whole)
         self._kernels["save_people"].launch(blocks_of(count * PEOPLE_MOST), THREADS, saving)
         return dict(zip(KEPT, (real, whole), strict=True))

@@ -5,7 +5,7 @@
 // lanes are neighbours, reads and writes whole lines.
 struct Crowd {
   double *real;        // [REALS, places, N]
-  int *whole;          // [WHOLES, places, N]
+  i64 *whole;          // [WHOLES, places, N]
   u8 *cut;             // [N] the last move was cut short, by a wall or by somebody
   double *people;      // [N, places, 4] x, y [m], unit vector of the heading; NaN for nobody
   i64 *hit_person;     // [N] number of the person for whom a move was cut; 0 none
@@ -32,30 +32,28 @@ __device__ __forceinline__ i64 column_at(const World &w, const Crowd &c, int col
 
 __device__ __forceinline__ Person load_person(const World &w, const Crowd &c, int p, int i) {
   Person q;
-  double *real = &q.x;
-  int *whole = &q.mode;
-#pragma unroll
-  for (int k = 0; k < REALS; k++) real[k] = c.real[column_at(w, c, k, p, i)];
-#pragma unroll
-  for (int k = 0; k < WHOLES; k++) whole[k] = c.whole[column_at(w, c, k, p, i)];
+#define LOAD_REAL(k, name, type) q.name = c.real[column_at(w, c, k, p, i)];
+#define LOAD_WHOLE(k, name, type) q.name = (type)c.whole[column_at(w, c, k, p, i)];
+  REAL_COLUMNS(LOAD_REAL)
+  WHOLE_COLUMNS(LOAD_WHOLE)
   return q;
 }
 
 __device__ __forceinline__ void store_person(const World &w, const Crowd &c, int p, int i,
                                              const Person &q) {
-  const double *real = &q.x;
-  const int *whole = &q.mode;
-#pragma unroll
-  for (int k = 0; k < REALS; k++) c.real[column_at(w, c, k, p, i)] = real[k];
-#pragma unroll
-  for (int k = 0; k < WHOLES; k++) c.whole[column_at(w, c, k, p, i)] = whole[k];
+#define STORE_REAL(k, name, type) c.real[column_at(w, c, k, p, i)] = q.name;
+#define STORE_WHOLE(k, name, type) c.whole[column_at(w, c, k, p, i)] = q.name;
+  REAL_COLUMNS(STORE_REAL)
+  WHOLE_COLUMNS(STORE_WHOLE)
 }
 
+#define PERSON_COLUMNS 9  // of `Episode.people`; the last is the person's number
+
 __device__ __forceinline__ Route route_of(const Episode &e, int p) {
-  const int *row = e.people + 8 * p;
+  const int *row = e.people + PERSON_COLUMNS * p;
   const double *line = e.lines + 4 * p;
-  Route r = {e.points + 7 * row[0], e.holds + 4 * row[2], line[0], line[1],
-             row[1] - row[0] - 2,   row[3] - row[2],      row[4],  row[5], row[6]};
+  Route r = {e.points + 7 * row[0], e.holds + 4 * row[2], line[0], line[1], row[1] - row[0] - 2,
+             row[3] - row[2],       row[4],               row[5],  row[6],  row[7]};
   return r;
 }
 
@@ -95,6 +93,7 @@ __device__ void begin_people(const World &w, const Crowd &c, const Episode &e, i
     q.direction = 1;
     q.blocked_by = NOBODY;
     q.clip_since = LONG_AGO;
+    q.claim = q.claim0 = r.right;
     store_person(w, c, p, i, q);
     tell_person(c, p, i, q);
   }
@@ -113,6 +112,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
   __shared__ double old_x[PEOPLE_MOST * LANES], old_y[PEOPLE_MOST * LANES];  // a tick ago
   __shared__ double new_x[PEOPLE_MOST * LANES], new_y[PEOPLE_MOST * LANES];
   __shared__ double agent_x[LANES], agent_y[LANES];
+  __shared__ i64 claims[PEOPLE_MOST * LANES];
   if (w.status[0] != CLEAR) return;  // all threads alike
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
   int mine = p * LANES + lane;
@@ -147,11 +147,13 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
     if (walks) {
       q.x0 = old_x[mine] = q.x;
       q.y0 = old_y[mine] = q.y;
+      q.claim0 = q.claim;
+      claims[mine] = r.behaviour == SCRIPT ? q.claim : ~q.claim;
     }
     __syncthreads();
     if (walks) {
-      Around around = {old_x + lane,  old_y + lane,   agent_x[lane], agent_y[lane],
-                       c.agent_radius, c.person_radius, persons,       p};
+      Around around = {old_x + lane,  old_y + lane,   claims + lane,   agent_x[lane],
+                       agent_y[lane], c.agent_radius, c.person_radius, persons, p};
       tick_person(q, r, *e, pace, around);
       new_x[mine] = q.x;
       new_y[mine] = q.y;
@@ -180,7 +182,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
         double ax = px - lx, ay = py - ly;
         double own = (next.x - lx) * ax + (next.y - ly) * ay;
         double theirs = -((new_x[k] - px) * ax + (new_y[k] - py) * ay);
-        person = e->people[8 * touched + 7];
+        person = e->people[PERSON_COLUMNS * touched + PERSON_COLUMNS - 1];
         by = own >= theirs ? BY_AGENT : BY_PERSON;
         at = tick;
         stopped = cut = true;
@@ -285,20 +287,21 @@ KERNEL(shorten_ranges)(World w, Crowd c, const int *slots, const double *poses, 
 }
 
 // The people of `agents` [K] into rows: real [K, PEOPLE_MOST, REALS], whole [K, PEOPLE_MOST, WHOLES].
-KERNEL(save_people)(World w, Crowd c, const int *agents, int count, double *real, int *whole) {
+KERNEL(save_people)(World w, Crowd c, const int *agents, int count, double *real, i64 *whole) {
   int at = blockIdx.x * blockDim.x + threadIdx.x;
   if (at >= count * PEOPLE_MOST) return;
   int k = at / PEOPLE_MOST, p = at % PEOPLE_MOST;
   Person q = {};
   if (p < c.places) q = load_person(w, c, p, agents[k]);
-  for (int column = 0; column < REALS; column++) real[(i64)at * REALS + column] = (&q.x)[column];
-  for (int column = 0; column < WHOLES; column++)
-    whole[(i64)at * WHOLES + column] = (&q.mode)[column];
+#define SAVE_REAL(k, name, type) real[(i64)at * REALS + k] = q.name;
+#define SAVE_WHOLE(k, name, type) whole[(i64)at * WHOLES + k] = q.name;
+  REAL_COLUMNS(SAVE_REAL)
+  WHOLE_COLUMNS(SAVE_WHOLE)
 }
 
 // People of saved rows `rows` [K] around `agents` [K], who are in their episodes already.
 KERNEL(restore_people)(World w, Crowd c, const int *rows, const int *agents, int count,
-                       const double *real, const int *whole) {
+                       const double *real, const i64 *whole) {
   int at = blockIdx.x * blockDim.x + threadIdx.x;
   if (at >= count * c.places) return;
   int k = at / c.places, p = at % c.places, i = agents[k];
@@ -312,8 +315,10 @@ KERNEL(restore_people)(World w, Crowd c, const int *rows, const int *agents, int
     return;
   }
   Person q;
-  for (int column = 0; column < REALS; column++) (&q.x)[column] = real[row * REALS + column];
-  for (int column = 0; column < WHOLES; column++) (&q.mode)[column] = whole[row * WHOLES + column];
+#define RESTORE_REAL(k, name, type) q.name = real[row * REALS + k];
+#define RESTORE_WHOLE(k, name, type) q.name = (type)whole[row * WHOLES + k];
+  REAL_COLUMNS(RESTORE_REAL)
+  WHOLE_COLUMNS(RESTORE_WHOLE)
   store_person(w, c, p, i, q);
   tell_person(c, p, i, q);
 }
@@ -326,7 +331,7 @@ KERNEL(widen_reals)(const double *in, int columns, int from, int to, int count, 
   out[(column * to + p) * count + i] = in[at];
 }
 
-KERNEL(widen_wholes)(const int *in, int columns, int from, int to, int count, int *out) {
+KERNEL(widen_wholes)(const i64 *in, int columns, int from, int to, int count, i64 *out) {
   i64 at = (i64)blockIdx.x * blockDim.x + threadIdx.x;
   if (at >= (i64)columns * from * count) return;
   i64 i = at % count, p = at / count % from, column = at / count / from;

@@ -14,8 +14,16 @@
 #define ROUND_SPEED 0.6
 #define ROUND_SECONDS 4
 #define NO_WAY_SECONDS 0.5
+#define PRESS_SECONDS 1
 #define BACK_SECONDS 5
+#define FIRM 1099511627776
+#define ENOUGH 0.4
+#define LEAVE 0.5
+#define STEADY 0.15
+#define RIVAL 0.45
 #define ROOM 0.06
+#define SQUEEZE 0.01
+#define FEW_TURNS 9
 #define HOME 0.3
 #define SHUFFLE 0.1
 #define CLOSE 1e-4
@@ -33,13 +41,25 @@
 #define BACK 1
 #define LOOP 2
 
-// The columns of a person, by name; their order is that of reach.py.
+// The columns of a person as reach.py numbers them, by name and type.
+#define REAL_COLUMNS(f)                                                                        \
+  f(0, x, double) f(1, y, double) f(2, x0, double) f(3, y0, double) f(4, hx, double)           \
+  f(5, hy, double) f(6, speed, double) f(7, way, double) f(8, walked, double)                  \
+  f(9, hold_left, double)
+#define WHOLE_COLUMNS(f)                                                                       \
+  f(0, mode, int) f(1, piece, int) f(2, direction, int) f(3, hold, int) f(4, wait, int)        \
+  f(5, side, int) f(6, round_ticks, int) f(7, back_left, int) f(8, clip, int)                  \
+  f(9, clip_since, int) f(10, blocked_by, int) f(11, turned, int) f(12, aside_left, int)       \
+  f(13, pressed, int) f(14, claim, i64) f(15, claim0, i64) f(16, lent_left, int)
+
 struct Person {
-  double x, y, x0, y0, hx, hy, speed, way, walked, hold_left;
-  int mode, piece, direction, hold, wait, side, round_ticks, back_left, clip, clip_since;
-  int blocked_by, turned, aside_left;
+#define HOLD_COLUMN(k, name, type) type name;
+  REAL_COLUMNS(HOLD_COLUMN)
+  WHOLE_COLUMNS(HOLD_COLUMN)
 };
-static_assert(sizeof(Person) >= REALS * 8 + WHOLES * 4, "reach.py has columns that Person lacks");
+#define COUNT_COLUMN(k, name, type) +1
+static_assert(0 REAL_COLUMNS(COUNT_COLUMN) == REALS, "reach.py has other real columns");
+static_assert(0 WHOLE_COLUMNS(COUNT_COLUMN) == WHOLES, "reach.py has other whole columns");
 
 // A route: its own rows of `Routes`.
 struct Route {
@@ -48,7 +68,7 @@ struct Route {
   double speed, length;
   int last;   // piece
   int stops;  // K
-  int after, behaviour, patience;
+  int after, behaviour, patience, right;
 };
 
 // How long a tick is.
@@ -57,9 +77,10 @@ struct Pace {
   int rate, parts;
 };
 
-// Who is around one person, by last tick's places; person j is at j * LANES.
+// Who is around one person, by last tick's places and claims; person j is at j * LANES.
 struct Around {
   const double *x0, *y0;
+  const i64 *claims;  // ~claim of who stands or sits
   double agent_x, agent_y;
   double agent_radius, radius;  // m, of the agent and of people
   int count, p;                 // people, and who is looking

@@ -154,6 +154,13 @@ __device__ __forceinline__ bool cruise(Person &q, const Route &r, const Pace &pa
   return true;
 }
 
+// Whether somebody has the right of way over a person, as of a tick ago.
+__device__ __forceinline__ bool yields_to(const Person &q, const Around &a, int who) {
+  if (who < 0) return false;
+  i64 claim = a.claims[who * LANES];
+  return (claim < 0 ? ~claim : claim) > q.claim0;
+}
+
 // A tick on the path.
 __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &e,
                                       const Pace &pace, const Around &a) {
@@ -167,6 +174,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   if (near) {
     ahead = room_ahead(a, r, way, piece, sign, reach, blocker);
     if (blocker == NOBODY) ahead = SIGHT;
+    else if (yields_to(q, a, blocker)) ahead = most_of(ahead - LEAVE, 0.0);
   }
   double gone = 0.0;
   if (!near && v > 0.0 && cruise(q, r, pace)) return;
@@ -194,8 +202,8 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
         there = way;
         s = place_at(r, way, piece);
       }
-      q.direction = sign;
-      q.hold = held;
+      if (q.direction == sign) q.hold = held;
+      sign = q.direction;
       q.mode = mode;
       q.hold_left = hold_left;
       q.piece = s.piece;
@@ -210,7 +218,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   q.blocked_by = blocker;
   if (blocker != NOBODY && gone < MOVED * pace.seconds) {
     q.wait++;
-    if (q.wait > r.patience) {
+    if (q.wait > (yields_to(q, a, blocker) ? r.patience / 2 : r.patience)) {
       q.mode = ROUND;
       q.round_ticks = 0;
       q.wait = 0;
@@ -232,6 +240,10 @@ __device__ __forceinline__ void tick_person(Person &q, const Route &r, const Epi
       q.back_left--;
       if (q.back_left == 0 && q.mode == ON_PATH) q.direction = 1;
       else if (q.back_left == 0) q.back_left = 1;
+    }
+    if (q.lent_left > 0) {
+      q.lent_left--;
+      if (q.lent_left == 0) q.claim = r.right;
     }
     if (q.mode == ROUND) {
       Person copy = q;  // whose address is taken lies in memory: not the one in registers

@@ -16,7 +16,7 @@ struct Episode {
   const u8 *grey;            // [map_rows, map_cols] the occupancy picture; or null
   const u8 *bev;             // [map_rows, map_cols, 3]; or null
   const u8 *walls;           // [rows, cols] WALL and WALL_NEAR; or null where there are no people
-  const int *people;         // [persons, 8] of their routes, by device_crowd.PERSON_COLUMNS; or null
+  const int *people;         // [persons, 9] `Routes.table` and their numbers; or null
   const double *lines;       // [persons, 4] of `Routes`
   const double *points;      // [points, 7] of `Routes`
   const double *holds;       // [stops, 4] of `Routes`

@@ -14,13 +14,15 @@ import pytest
 from gn0.device.device import DeviceArray
 from gn0.device.host import DeviceHost
 from gn0.errors import EpisodeError, SimError
-from gn0.missions.episode import AgentSpec, MissionFollow
+from gn0.maps.grid import OccupancyGrid
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow, MissionGoal
 from gn0.people import person, reach, route
 from gn0.people.person import EpisodePerson
 from gn0.sim import device_people
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_plans import PlansDevice
 from gn0.sim.vector import VectorEnv
+from gn0.testing.scenes import build_map_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 BODY = AgentSpec(radius=0.25, step_seconds=0.2)  # two ticks an action
@@ -179,12 +181,78 @@ def test_more_people_may_come_later(halls) -> None:
         play(env, twin, 12, odds=[0.0, 0.8, 0.1, 0.1])
 
 
+@pytest.fixture(scope="module")
+def corridors():
+    """Three widths of a corridor with a bay, and episodes in which six people meet there."""
+    scenes, episodes = [], []
+    for k, width in enumerate((18, 28, 40)):  # cells of 5 cm
+        cells = np.ones((width + 44, 200), np.uint8)
+        cells[2 : width + 2, 2:-2] = 0
+        cells[width:-10, 90:120] = 0
+        middle = (width + 4) * 0.025
+        scenes.append(build_map_scene(OccupancyGrid(cells, 0.05, (0.0, 0.0)), f"corridor-{k}"))
+        for seed in range(4):
+            ends = (0.7, 9.2)
+            people = [
+                EpisodePerson(
+                    number=n + 1, identity=f"drawn:0:{n + 1}", speed=0.5 + 0.1 * n,
+                    path=((0.8 + 1.5 * n, middle), (ends[(n + seed) % 2 or n == 0], middle)),
+                    after=("back", "end")[n % 2], seed=7 * seed + n,
+                )
+                for n in range(6)
+            ]  # fmt: skip
+            if seed == 1:
+                people[3] = EpisodePerson(
+                    number=4, identity="drawn:0:4", path=((5.3, middle),), behaviour="stand"
+                )
+            if seed == 2:  # two go round the bay, against each other
+                ring = [(5.0, middle), (5.6, middle), (5.6, middle + 1.2), (5.0, middle + 1.2)]
+                people[3:4] = [
+                    EpisodePerson(
+                        number=number, identity="drawn:0:9", path=(*path, path[0]), after="loop",
+                        speed=0.7, seed=number,
+                    )
+                    for number, path in ((9, ring), (10, [ring[2], *ring[1::-1], ring[3]]))
+                ]  # fmt: skip
+            goal = MissionGoal(goal=(9.0, middle), object_id="", category="bed", instruction="Go.")
+            episode = Episode(
+                id=f"corridor-{k}-{seed}", scene_id=f"corridor-{k}", mission=goal,
+                start=(4.55, middle, 0.0), path=((4.55, middle), goal.goal), people=tuple(people),
+            )  # fmt: skip
+            episodes.append(episode)
+    return scenes, episodes
+
+
+def test_who_blocks_each_other_resolves_it_as_on_the_cpu(corridors) -> None:
+    """Waiting, going round, making room, turning back, lent claims: every branch, every column."""
+    env, twin = build_pair(corridors, 24, max_steps=300, sensors=())
+    options = {"episode": [k % 12 for k in range(24)]}
+    env.reset(options=options)
+    twin.reset(options=options)
+    seen = dict.fromkeys(("round", "turned", "aside", "lent", "pressed", "squeezed"), 0)
+    for row in np.random.default_rng(0).choice([1, 2, 3], (160, 24), p=[0.5, 0.25, 0.25]):
+        env.step(row)
+        twin.step(row)
+        assert_same_people(env, twin)
+        crowd = twin.batch.company.crowd
+        whole = crowd.whole[crowd.route >= 0].T
+        goes_round, turned = whole[reach.MODE] == reach.ROUND, whole[reach.TURNED]
+        seen["round"] += goes_round.sum()
+        seen["turned"] += turned.max()
+        seen["aside"] += (whole[reach.ASIDE_LEFT] > 0).sum()
+        seen["lent"] += (whole[reach.LENT_LEFT] > 0).sum()
+        seen["pressed"] += (whole[reach.PRESSED] > 0).sum()
+        seen["squeezed"] += (goes_round & (turned % 4 > 1)).sum()
+    assert min(seen.values()) > 50, seen
+
+
 @pytest.mark.slow
-def test_no_thread_reads_what_another_may_be_writing(halls) -> None:
-    env, twin = build_pair(halls, 37, device=DeviceHost(2, checked=True))
-    env.reset(seed=1)
-    twin.reset(seed=1)
-    play(env, twin, 12)
+def test_no_thread_reads_what_another_may_be_writing(halls, corridors) -> None:
+    for scenes in (halls, corridors):
+        env, twin = build_pair(scenes, 37, device=DeviceHost(2, checked=True))
+        env.reset(seed=1)
+        twin.reset(seed=1)
+        play(env, twin, 12)
 
 
 def test_who_cannot_be_placed_is_refused_by_name(halls) -> None:

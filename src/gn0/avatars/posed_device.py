@@ -211,7 +211,6 @@ class PosedBankDevice:
         self.misses += len(lacking)
         self.hits += len(codes) - len(lacking)
         if lacking:
-            self._take_stamps()
             self._fill({code: pose(code) for code in lacking})
             self._look(codes, chosen)
         return len(lacking)
@@ -235,6 +234,7 @@ class PosedBankDevice:
     def _fill(self, lacking: dict[Hashable, AvatarPose]) -> None:
         if not lacking:
             return
+        self._take_stamps()
         sizes = {key: _size_of(pose.avatar) for key, pose in lacking.items()}
         staying = sum(held.size for held in self._held.values() if held.used == self._call)
         if staying + sum(sizes.values()) > self.budget:

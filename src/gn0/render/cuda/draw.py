@@ -10,7 +10,6 @@ the sort keys themselves, so the order in which atomics served them cannot show.
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,6 +26,7 @@ from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import Instances, build_parts, mark_firsts
 from gn0.render.cuda.labels import LabelDrawer
 from gn0.render.cuda.lists import Blend, Lists
+from gn0.render.cuda.pictures import lay_pictures
 from gn0.render.cuda.records import (
     BringClouds,
     CountEntries,
@@ -62,9 +62,8 @@ from gn0.render.cuda.tables import (
 )
 from gn0.render.cuda.tune import MANY, Tuning, choose_tuning
 from gn0.render.cuda.work import Work, WorkDevice
-from gn0.render.renderer import LABELS, Output
+from gn0.render.renderer import Output
 
-_FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
@@ -77,8 +76,6 @@ _VIEW_WORDS = VIEW.itemsize // 4
 _CLOUD_WORDS = CLOUD.itemsize // 4
 _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
-_ROW = 256  # bytes that pictures sharing memory are laid out by
-_TOGETHER = 2**26  # bytes of pictures up to which they share memory
 _NOTHING_SENT = SentWords(None, None, np.uint32(0))  # but by a call that is replayed
 
 _log = logging.getLogger(__name__)
@@ -133,33 +130,7 @@ class Drawer:
         Raises:
             DeviceMemoryError: there is not so much.
         """
-        shape = (count, camera.height, camera.width)
-        pixels, kind = math.prod(shape), np.dtype(np.float32 if rgb_float else np.uint8)
-        parts = [
-            (name in outputs, pixels * size, dims, what)
-            for name, size, dims, what in (
-                ("rgb", 3 * kind.itemsize, (*shape, 3), kind),
-                ("depth", 4, shape, _FLOAT),
-                ("alpha", 4, shape, _FLOAT),
-                *((name, 4, shape, np.dtype(np.uint32)) for name in LABELS),
-            )
-        ]
-        size = sum(-(-size // _ROW) * _ROW for wanted, size, _, _ in parts if wanted)
-        if size > _TOGETHER:  # whoever keeps one of them should not keep all
-            return PicturesDevice(
-                *(
-                    self.device.empty(dims, what) if wanted else None
-                    for wanted, _, dims, what in parts
-                )
-            )
-        whole, at, arrays = self.device.empty(size, np.uint8), 0, []
-        for wanted, size, dims, what in parts:
-            place = whole.pointer + at
-            arrays.append(
-                DeviceArray(self.device, place, dims, what, whole.owner) if wanted else None
-            )
-            at += -(-size // _ROW) * _ROW if wanted else 0
-        return PicturesDevice(*arrays)
+        return lay_pictures(self.device, camera, count, outputs, rgb_float)
 
     def draw(
         self,

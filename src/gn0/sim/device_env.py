@@ -33,20 +33,17 @@ from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import (
     AgentsThere,
-    EyesDevice,
     device_reader,
-    draws_people,
     refuse_host_sensors,
 )
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
-from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_people import CompanyDevice
+from gn0.sim.device_sight import admit_people, open_eyes
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
 from gn0.sim.device_walkers import WalkersDevice
@@ -64,7 +61,6 @@ from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
 if TYPE_CHECKING:
     from gn0.avatars.bank import AvatarBank
-    from gn0.sim.device_people_eyes import PeopleEyesDevice
 
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
@@ -185,50 +181,19 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         )
         carried = config.carried
         refuse_host_sensors(carried.sensors)
-        self._carried = carried
-        peopled = draws_people(self.tasks.episodes, carried.sensors)
-        if peopled and (motions or final_pictures):
-            raise ConfigError(
-                "motions and last pictures are not drawn beside people on a device",
-                remedy="leave out motions and final_pictures, or use VectorEnv",
-            )
         self._at_once = tuple(
             (s.name, device_reader(s, config)) for s in carried.sensors if s.many is not None
         )
         map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         self.device = _open(device) if isinstance(device, str) else device
-        self._eyes: EyesDevice | None = None
-        people: PeopleEyesDevice | None = None
-        if any(s.many is None for s in carried.sensors):
-            if isinstance(renderer, str):
-                needed = carried.needs_renderer(False)
-                chosen = open_renderer(renderer, device=self.device) if needed else None
-            else:
-                chosen = renderer
-            motion = None
-            if motions:
-                motion = MotionDevice(
-                    self.device,
-                    motions,
-                    sorted(self.tasks.scenes),
-                    num_envs,
-                    self.tasks.agent,
-                    self.tasks.max_steps,
-                )
-            if peopled:
-                from gn0.sim.device_people_eyes import PeopleEyesDevice  # bodies are needed here
-
-                people = PeopleEyesDevice(self.tasks.scenes, chosen, camera.rgb.fx, bank)
-            self._eyes = EyesDevice(
-                config,
-                self.tasks.scenes,
-                self.tasks.agent,
-                chosen,
-                map_shape,
-                visible_sets,
-                motion,
-                people,
-            )
+        self._config = config
+        self._eyes = open_eyes(
+            *(config, self.tasks, self.device, num_envs, renderer, map_shape),
+            visible_sets=visible_sets,
+            motions=motions,
+            bank=bank,
+            last=final_pictures,
+        )
         self._admit(self.tasks.episodes)
         self.simulator = SimulatorDevice(
             num_envs,
@@ -244,7 +209,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
             company=self._company,
-            roles=None if people is None else people.roles_of,
+            roles=None if self._eyes is None else self._eyes.roles_of,
         )
         self.copy, self.channels_first = copy, channels_first
         moved = picture_names(self.sensors, camera) if channels_first else ()
@@ -619,16 +584,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         Raises:
             EpisodeError: names the first of them.
         """
-        people = None if self._eyes is None else self._eyes.people
-        if people is not None:
-            for episode in episodes:
-                people.check(episode)
-        elif draws_people(episodes, self._carried.sensors):
-            raise EpisodeError(
-                "has people, and no episode had any when their eyes were made",
-                where=f"episode {next(e.id for e in episodes if e.people)!r}",
-                remedy="give episodes with people to the environment when you make it",
-            )
+        admit_people(episodes, self._config, self._eyes)
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:

@@ -196,6 +196,11 @@ class EyesDevice:
         self._muted: frozenset[str] = frozenset()
 
     @property
+    def roles_of(self) -> Callable[[Episode], NDArray[Any]] | None:
+        """Episode → what its people bring to their looks; None where nobody is drawn."""
+        return None if self.people is None else self.people.roles_of
+
+    @property
     def shows_map(self) -> bool:
         """Whether scenes are drawn from above."""
         return self._carried.bev and self._renderer is not None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,13 +14,10 @@ from gn0.device.device import DeviceArray
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.follow_rules import FOLLOW, SAME_TIME, FollowRules
 from gn0.sim.device_layout import FOLLOW_FIELDS, FOLLOWING, pack_struct
-from gn0.sim.device_people import CompanyDevice
+from gn0.sim.device_people import CompanyDevice, Engine
 from gn0.sim.device_records import PlaceFollowing, StepFollowing
 from gn0.sim.follow_tally import FOLLOWING as EARNED
 from gn0.sim.follow_tally import TOUCH
-
-if TYPE_CHECKING:
-    from gn0.sim.device_state import SimulatorDevice
 
 _NAMES = {"distance": "person_distance"}  # of infos, where they are others than the kernels'
 
@@ -34,7 +30,7 @@ class FollowingDevice(CompanyDevice):
         rules: of following.
     """
 
-    def __init__(self, simulator: SimulatorDevice, rules: FollowRules = FOLLOW) -> None:
+    def __init__(self, simulator: Engine, rules: FollowRules = FOLLOW) -> None:
         super().__init__(simulator, rules.person_radius)
         self._rules = rules
         self._tally: dict[str, DeviceArray] = {}

@@ -9,20 +9,16 @@ ends.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray, Kernel
-from gn0.geometry import U8
-from gn0.maps.grid import OccupancyGrid
-from gn0.maps.inflate import inflate
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.people.crowd import PACE
-from gn0.people.person import PEOPLE_MOST, RADIUS, WALL_DISTANCE, EpisodePerson
+from gn0.people.person import PEOPLE_MOST, RADIUS
 from gn0.people.reach import REALS, WHOLES
-from gn0.people.route import build_routes
 from gn0.sim.device_layout import (
     CROWD,
     CROWD_FIELDS,
@@ -41,30 +37,31 @@ from gn0.sim.device_records import (
     WidenCrowd,
 )
 
-if TYPE_CHECKING:
-    from gn0.sim.device_state import SimulatorDevice
-
 LANES = 32  # environments a block of `move_people`; `reach.cu` has the same
-WALL, WALL_NEAR = 1, 2  # bits of a cell, as `world.cu` has them
 KEPT = ("people_real", "people_whole")  # rows of saved states
 
 
-def mark_walls(grid: OccupancyGrid) -> U8:
-    """Cells [H, W] of a raw grid: `WALL` where it is not free, `WALL_NEAR` where nobody may be."""
-    raw = np.where(inflate(grid, 0.0).blocked, WALL, 0)
-    near = np.where(inflate(grid, WALL_DISTANCE).blocked, WALL_NEAR, 0)
-    return np.ascontiguousarray(raw | near, np.uint8)
+class Engine(Protocol):
+    """What people need of the simulator of their agents."""
 
+    @property
+    def count(self) -> int:
+        """Of agents."""
+        ...
 
-def pack_routes(people: Sequence[EpisodePerson]) -> tuple[NDArray[Any], ...]:
-    """Routes of the people of one episode: int32 [P, 9], then the other arrays of `Routes`.
+    @property
+    def device(self) -> Device:
+        """Where they are."""
+        ...
 
-    A row's columns are those of `Routes.table`, and the person's number.
-    """
-    routes = build_routes(people)
-    numbers = [[person.number] for person in people]
-    table = np.hstack([routes.table, numbers]).astype(np.int32)
-    return table, routes.lines, routes.points, routes.holds
+    @property
+    def world(self) -> np.void:
+        """The struct `World` that kernels take."""
+        ...
+
+    def copy(self, source: DeviceArray, target: DeviceArray) -> None:
+        """Copy an array on the device into another of the same size."""
+        ...
 
 
 class CompanyDevice:
@@ -79,7 +76,7 @@ class CompanyDevice:
         outputs: what was told last, [N, …] by name; see `device_layout.CROWD_FIELDS`.
     """
 
-    def __init__(self, simulator: SimulatorDevice, radius: float = RADIUS) -> None:
+    def __init__(self, simulator: Engine, radius: float = RADIUS) -> None:
         self._simulator, self._radius = simulator, radius
         self.places = 0
         self.outputs: dict[str, DeviceArray] = {}

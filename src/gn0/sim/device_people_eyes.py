@@ -8,7 +8,7 @@ it, so that nothing of it passes through the host while nobody looks anew.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from gn0.scenes.scene import Scene
 from gn0.seeds import derive_seed
 from gn0.sim.device_layout import ROLE, THREADS, blocks_of
 from gn0.sim.device_records import ShowPeople
+from gn0.sim.device_routes import LookLight
 from gn0.sim.open import split_look
 
 if TYPE_CHECKING:
@@ -41,20 +42,6 @@ if TYPE_CHECKING:
 _NONE = 63  # no clip
 _BITS = (16, 2, 6, 12, 3, 3, 6, 7, 3)  # of a code, from its lowest; `shown.cu` has the same
 _OFFSETS = 97  # by how many ticks people's clips are apart
-
-
-class LookLight(NamedTuple):
-    """The light on people in a scene, for kernels.
-
-    Attributes:
-        column: int32 [X, Y], the probes of each cell, -1 without.
-        places: [C, 2] m.
-        gains: [C, 4, 3].
-    """
-
-    column: NDArray[np.int32]
-    places: F64
-    gains: F64
 
 
 class PeopleEyesDevice:

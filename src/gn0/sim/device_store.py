@@ -13,7 +13,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,9 +28,9 @@ from gn0.missions.people import check_people_walls
 from gn0.scenes.scene import Scene
 from gn0.sim.collision import check_places
 from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
-from gn0.sim.device_people import mark_walls, pack_routes
 from gn0.sim.device_pool import Block, PoolDevice, store_size
 from gn0.sim.device_records import StoreRows
+from gn0.sim.device_routes import LookLight, mark_walls, pack_routes
 from gn0.sim.follow_tally import follow_target
 from gn0.sim.ground import (
     Destination,
@@ -42,9 +42,6 @@ from gn0.sim.ground import (
 )
 from gn0.sim.open import name_look
 from gn0.sim.sensors import MapFrame
-
-if TYPE_CHECKING:
-    from gn0.sim.device_people_eyes import LookLight
 
 _log = logging.getLogger(__name__)
 _WORD = 16  # bytes that a thread of `store_rows` copies

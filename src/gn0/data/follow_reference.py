@@ -22,7 +22,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
-from gn0.missions.follow_rules import FOLLOW, FollowRules
+from gn0.missions.follow_rules import FOLLOW, FollowRules, touched_person
 from gn0.missions.generate.follow_settings import FollowSettings
 from gn0.missions.generate.follow_sight import sight_grid
 from gn0.people.person import EpisodePerson
@@ -87,7 +87,7 @@ class FollowReference:
         walked: [T+1] m that it has walked, of which the gait's phase is made.
         clips: [T+1] 1 while it walks, else 0.
         violations: [T] the kind of each step's violation, a number in `VIOLATIONS`; −1 none.
-        touched: a move of the agent was cut because of somebody.
+        touched: the agent touched somebody, see `follow_rules.touched_person`.
     """
 
     actions: NDArray[np.int8]
@@ -170,7 +170,7 @@ class FollowTracker:
             except PlanError:
                 return None, "tracker cut off"
             result = simulator.step(action)
-            if result.info.get("hit_person") is not None:
+            if touched_person(result.info.get("hit_person")) is not None:
                 return None, "touch"
             if not recorder.keeps(task.track):
                 return None, "person held up"
@@ -193,7 +193,8 @@ class FollowTracker:
         for code in mission.reference_actions:
             result = simulator.step(code)
             kind = self._violation(simulator, recorder.row, sight)
-            recorder.note(code, kind, touched=result.info.get("hit_person") is not None)
+            touched = touched_person(result.info.get("hit_person")) is not None
+            recorder.note(code, kind, touched=touched)
         return recorder.done()
 
     def _violation(self, simulator: Simulator, row: int, sight: OccupancyGrid) -> int:

@@ -278,8 +278,17 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
         elif blocker >= 0 and whole[e, blocker, CLAIM0] > whole[e, p, CLAIM0]:
             ahead = max(ahead - LEAVE, 0.0)
     gone = 0.0
-    if not near and v > 0.0 and _cruise(real, whole, routes, pace, e, p, r):
-        return
+    # by the same sums as with nobody near, so that only who is in the way changes a bit
+    room = ahead - COMFORT - v * pace.seconds
+    clear = blocker == NOBODY or (room > 0.0 and 2.0 * BRAKE * room >= v * v)
+    if clear and v > 0.0 and _cruise(real, whole, routes, pace, e, p, r):
+        share, who = 1.0, NOBODY
+        if near:
+            x, y = real[e, p, X], real[e, p, Y]
+            share, who = share_allowed(real, route, agent, radius, e, p, x, y)
+        if share >= 1.0:
+            return
+        real[e, p, WAY], real[e, p, X], real[e, p, Y] = way, real[e, p, X0], real[e, p, Y0]
     for _ in range(pace.parts):
         if whole[e, p, MODE] == ARRIVED:
             break

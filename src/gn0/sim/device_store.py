@@ -24,6 +24,7 @@ from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.geometry import F64, U8
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
+from gn0.missions.follow_target import follow_target
 from gn0.missions.people import check_people_walls
 from gn0.scenes.scene import Scene
 from gn0.sim.collision import check_places
@@ -31,7 +32,6 @@ from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
 from gn0.sim.device_pool import Block, PoolDevice, store_size
 from gn0.sim.device_records import StoreRows
 from gn0.sim.device_routes import LookLight, mark_walls, pack_routes
-from gn0.sim.follow_tally import follow_target
 from gn0.sim.ground import (
     Destination,
     EpisodeNumbers,

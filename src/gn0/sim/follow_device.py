@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from gn0.missions.episode import Episode
+from gn0.missions.follow_target import follow_target
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_following import FollowingDevice
 from gn0.sim.follow_env import Scenes, choose_ways
-from gn0.sim.follow_tally import follow_target
 
 
 class FollowVectorEnvDevice(VectorEnvDevice):

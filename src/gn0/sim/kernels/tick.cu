@@ -177,7 +177,16 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
     else if (yields_to(q, a, blocker)) ahead = most_of(ahead - LEAVE, 0.0);
   }
   double gone = 0.0;
-  if (!near && v > 0.0 && cruise(q, r, pace)) return;
+  // by the same sums as with nobody near, so that only who is in the way changes a bit
+  double room = ahead - COMFORT - v * pace.seconds;
+  bool clear = blocker == NOBODY || (room > 0.0 && 2.0 * BRAKE * room >= v * v);
+  if (clear && v > 0.0 && cruise(q, r, pace)) {
+    int who;
+    if (!near || share_allowed(q, a, q.x, q.y, who) >= 1.0) return;
+    q.way = way;
+    q.x = q.x0;
+    q.y = q.y0;
+  }
 #pragma unroll 1
   for (int part = 0; part < pace.parts; part++) {
     if (q.mode == ARRIVED) break;

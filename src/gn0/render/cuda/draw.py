@@ -112,7 +112,7 @@ class Drawer:
         self._first_density = 0.5
         self._said = False
         self._plan: tuple[tuple[object, ...], Shares, list[DeviceArray]] | None = None
-        self._named: tuple[bytes, DeviceArray] | None = None
+        self._named: tuple[tuple[bytes, int], DeviceArray] | None = None
         self._lit: tuple[bytes, DeviceArray] | None = None
         self._longest: dict[tuple[object, ...], int] = {}  # entries of a list, by picture
         self._exact = False  # whether the next batch counts all splats: a sample fell short
@@ -617,7 +617,9 @@ class Drawer:
         """The table of clouds alone; kept while calls name the same ones."""
         if own:
             return self.device.upload(work.table.view(np.uint32))
-        key = work.table.tobytes()
+        key = (work.table[: work.base].tobytes(), len(work.table))  # what follows comes each call
+        if work.part_table is None:
+            key = (work.table.tobytes(), 0)
         if self._named is None or self._named[0] != key:
             self._named = (key, self._upload("clouds", work.table))
         return self._named[1]

@@ -15,6 +15,7 @@ from gn0.render import Camera
 from gn0.scenes import build_example_scene
 from gn0.sim import batch_people, batch_people_kernels
 from gn0.sim.continuous import read_action
+from gn0.sim.env import GoalNavEnv
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
 from gn0.sim.vector import VectorEnv
@@ -234,3 +235,32 @@ def test_pictures_show_people_as_a_simulator_s(tmp_path, monkeypatch) -> None:
             shown |= set(np.unique(found["who"]).tolist())
         assert not np.array_equal(before["rgb"][0], observation["rgb"][0])
     assert shown == {0, 2, 7}
+
+
+def test_the_maps_that_agents_make_let_go_of_people_as_alone(tmp_path) -> None:
+    """Somebody walks through the view and out of it: the map's clock is each agent's own."""
+    generate_bank(tmp_path, count=1, seed=1, density=0.02)
+    flat = build_example_scene()
+    passer = EpisodePerson(
+        number=1, identity="p0000", path=((3.1, 2.3), (3.1, 1.4), (1.4, 1.4)), speed=1.2
+    )
+    goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
+    episode = Episode(
+        id="e", scene_id=flat.id, mission=goal, start=(1.6, 2.5, 0.0),
+        path=((1.6, 2.5), goal.goal), people=(passer,),
+    )  # fmt: skip
+    told = {
+        "episodes": [episode], "sensors": ("occupancy",), "map_mode": "explored",
+        "preset": "tiny_128", "agent": BODY,
+    }  # fmt: skip
+    env, twin = VectorEnv(2, flat, bank=tmp_path, **told), GoalNavEnv(flat, bank=tmp_path, **told)
+    many, _ = env.reset(seed=0)
+    one, _ = twin.reset(seed=0)
+    met = one["occupancy"].copy()
+    for k in range(45):
+        action = 2 + k % 2
+        many, *_ = env.step(np.array([action, action]))
+        one, *_ = twin.step(action)
+        for row in many["occupancy"]:
+            assert row.tobytes() == one["occupancy"].tobytes()
+    assert (met != one["occupancy"]).any()

@@ -120,7 +120,7 @@ def clear_line(walls, wall_arrays, e, x, y, u, v):
 
 @njit_borrowing
 def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p, mx, my):
-    """A tick away from everybody, where there is room and (mx, my) on the path is in sight."""
+    """A tick away from everybody, where there is room; (mx, my) on the path is kept in sight."""
     x, y, v, dt = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED], pace.seconds
     now = min(v + ACCELERATION * dt * 0.875, 0.5)
     step = 0.5 * (v + now) * dt
@@ -129,6 +129,7 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p,
     if here > ENOUGH:
         whole[e, p, ASIDE_LEFT], real[e, p, SPEED] = 0, 0.0
         return
+    sees = clear_line(walls, wall_arrays, e, x, y, mx, my)
     best, bx, by = -1e30, 0.0, 0.0
     for turn in range(-5, 7):  # twelve directions of the plane
         cos, sin = ROUND_COS[abs(turn)], ROUND_SIN[abs(turn)]
@@ -150,7 +151,7 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p,
             score = clear + STEADY * (ux * hx + uy * hy)
             if clear > here and score > best:
                 qx, qy = x + ux * 0.2, y + uy * 0.2
-                if clear_line(walls, wall_arrays, e, qx, qy, mx, my):
+                if not sees or clear_line(walls, wall_arrays, e, qx, qy, mx, my):
                     best, bx, by = score, ux, uy
     real[e, p, SPEED] = 0.0
     if bx == 0.0 and by == 0.0:

@@ -63,7 +63,7 @@ __device__ __forceinline__ bool clear_line(const Episode &e, double x, double y,
   return true;
 }
 
-// A tick away from everybody, where there is room and (mx, my) on the path is in sight.
+// A tick away from everybody, where there is room; (mx, my) on the path is kept in sight.
 __device__ __noinline__ void make_room(Person &q, const Episode &e, const Pace &pace,
                                        const Around &a, double mx, double my) {
   // cosines and sines of 0, 30, ... 180 degrees
@@ -78,6 +78,7 @@ __device__ __noinline__ void make_room(Person &q, const Episode &e, const Pace &
     q.speed = 0.0;
     return;
   }
+  bool sees = clear_line(e, x, y, mx, my);
   double best = -1e30, bx = 0.0, by = 0.0;
   int who;
 #pragma unroll 1
@@ -90,7 +91,8 @@ __device__ __noinline__ void make_room(Person &q, const Episode &e, const Pace &
     if (share_allowed(q, a, x + ux * SHUFFLE, y + uy * SHUFFLE, who) < 1.0) continue;
     double clear = gap_at(a, x + ux * 0.2, y + uy * 0.2);
     double score = clear + STEADY * (ux * q.hx + uy * q.hy);
-    if (clear > here && score > best && clear_line(e, x + ux * 0.2, y + uy * 0.2, mx, my)) {
+    if (clear > here && score > best &&
+        (!sees || clear_line(e, x + ux * 0.2, y + uy * 0.2, mx, my))) {
       best = score;
       bx = ux;
       by = uy;

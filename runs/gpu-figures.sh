@@ -25,7 +25,7 @@ mkdir -p "$OUT/log" "$OUT/done"
 OUT=$(cd "$OUT" && pwd)
 if [ -n "${KEEP:-}" ]; then mkdir -p "$KEEP"; KEEP=$(cd "$KEEP" && pwd); fi
 PYTHON=${PYTHON:-python3}
-ALL=(check start rival small large scenes accuracy suite visible memory sim moving parts people labels data apartment house others sanitizers stages sweep)
+ALL=(check start rival small large scenes accuracy suite visible memory sim crowd moving parts people labels data apartment house others sanitizers stages sweep)
 LIBRARY=$OUT/gsplat_cuda.so
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}
@@ -115,6 +115,7 @@ END
     sweep) "$PYTHON" -m gn0_figures.tune --sweep "224x224 x" ;;  # other kernel sizes
     people) figures people.render.cuda --backend cuda ;;
     data) figures data.gpu --backend cuda ;;
+    crowd) figures people.sim.cuda --backend cuda ;;
     others) figures data.gpu_others --backend cuda ;;
     sanitizers) GN0_FIGURE_SECONDS=$((LIMIT_NOW - 30)) figures render.cuda.sanitizers ;;  # rows of what was reached by then
     *) figures "render.cuda.$1" ;;

@@ -10,7 +10,8 @@ from gn0_figures.board import Figure
 _MODULES = (
     "install", "gaussians", "splat_formats", "maps", "render", "device_checks", "device_table",
     "device_parts", "device_labels",
-    "device_rates", "device_suite", "device_sanitizers", "scenes", "capture", "procedural",
+    "device_rates", "device_people", "device_suite", "device_sanitizers", "scenes", "capture",
+    "procedural",
     "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "crowd", "policies", "missions",
     "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
     "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "dagger",

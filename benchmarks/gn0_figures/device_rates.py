@@ -31,7 +31,7 @@ MOVING = {1: 0.90, 4: 0.75, 8: 0.60}  # parts, and the share of env-steps that i
 PICTURES = 15e3  # env-steps a second, at least, with 224x224 RGB-D over a million splats
 
 
-def _rate(env: VectorEnvDevice, steps: int) -> float:
+def measure_rate(env: VectorEnvDevice, steps: int) -> float:
     """Agent-steps a second through `step()` with actions on the device, autoresets included."""
     env.reset(seed=0)
     drawn = random_stream(0, "figure actions").choice(4, (steps, env.num_envs), p=WALK)
@@ -74,7 +74,7 @@ def measure_sim(ctx: FigureContext) -> list[FigureRow]:
     env = VectorEnvDevice(count, scenes, episodes=episodes, device=ctx.device)
     detail = f"{len(scenes)} floor plans, {len(episodes)} episodes, {count} agents, goal_vector"
     detail += "; random walk with 1 % STOP, actions on the device, autoresets included"
-    add("agent-steps a second, no pictures", _rate(env, steps), STEPS, detail)
+    add("agent-steps a second, no pictures", measure_rate(env, steps), STEPS, detail)
     del env
     cloud = build_flat(1500 if tiny else 1_000_000)
     flat = replace(
@@ -101,7 +101,7 @@ def measure_sim(ctx: FigureContext) -> list[FigureRow]:
             f"{size.width}x{size.height}; tensors stay on the device"
         )
         name = "env-steps a second with RGB-D, " + ("visible sets" if sets else "full set")
-        add(name, _rate(env, steps), PICTURES, detail)
+        add(name, measure_rate(env, steps), PICTURES, detail)
         del env
     return rows
 

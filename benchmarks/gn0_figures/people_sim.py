@@ -36,10 +36,10 @@ STILL = 0.005  # m a tick
 ROUNDS = 5
 
 
-def _episodes(
-    count: int, per_scene: int, ctx: FigureContext | None = None
+def plan_episodes(
+    count: int, per_scene: int, ctx: FigureContext | None = None, most: int = PEOPLE
 ) -> tuple[list[Scene], list[Episode]]:
-    """Floor plans, and episodes in them with five people each where there is room."""
+    """Floor plans, and episodes in them with so many people each where there is room."""
     scenes = [
         build_map_scene(build_floor_plan(k, width=SIDE, depth=SIDE), f"plan-{k}")
         for k in range(count)
@@ -50,7 +50,7 @@ def _episodes(
             ctx.progress("people.sim", number, count)
         ground = NavigationMap(scene.grid, FOLLOWER.radius)
         for k, bare in enumerate(build_point_episodes(scene, ground, per_scene, agent=FOLLOWER)):
-            people = plan_people(scene, bare, PeopleSettings(count=PEOPLE, seed=k))
+            people = plan_people(scene, bare, PeopleSettings(count=most, seed=k))
             episodes.append(
                 msgspec.structs.replace(bare, id=f"{scene.id}-{bare.id}", people=people)
             )
@@ -193,7 +193,7 @@ def compare_ticks(
 
 def measure_people(ctx: FigureContext) -> list[FigureRow]:
     """Speed with 0, 1 and 5 people, a thousand episodes tick by tick, ticks, workers."""
-    scenes, episodes = _episodes(SCENES, PER_SCENE, ctx)
+    scenes, episodes = plan_episodes(SCENES, PER_SCENE, ctx)
     rows = []
     here = f"{SCENES} floor plans of {SIDE:g} m, {len(episodes):,} episodes"
     for people in (0, 1, PEOPLE):

@@ -24,6 +24,7 @@ from gn0_figures import (
     device_checks,
     device_labels,
     device_parts,
+    device_people,
     device_rates,
     device_sanitizers,
     device_suite,
@@ -43,7 +44,7 @@ from gn0_figures.floor import count_work
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
 MODULES = (
     *(device_checks, device_table, device_parts, device_labels, device_rates, device_suite),
-    *(device_sanitizers, ego, people_render_cuda),
+    *(device_sanitizers, device_people, ego, people_render_cuda),
 )
 FIGURES = [figure for module in MODULES for figure in module.FIGURES]
 

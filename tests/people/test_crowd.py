@@ -5,12 +5,14 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode, MissionGoal, check_episode
 from gn0.missions.people import check_people_walls
 from gn0.people.crowd import CrowdState, build_walls, empty_crowd, place_people, step_crowd
-from gn0.people.person import EpisodePerson
+from gn0.people.person import EpisodePerson, PersonStop
 from gn0.people.plan import find_seat, plan_people
 from gn0.people.reach import HOLD_LEFT, MODE
 from gn0.people.route import Routes, build_routes
@@ -144,6 +146,41 @@ def test_with_nobody_in_its_way_a_person_walks_as_alone(episodes) -> None:
     for tick in range(1, 301):
         step_crowd(state, routes, WALLS, np.array([[0.0, 0.0, -1.0]]))
         assert tuple(state.real[0, 0, :2]) == tuple(track.place[tick])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    speed=st.integers(40, 100),
+    after=st.sampled_from(["end", "back"]),
+    stop=st.integers(0, 3),
+    beside=st.lists(
+        st.tuples(st.integers(-50, 550), st.integers(60, 130), st.sampled_from([-1, 1])),
+        min_size=1, max_size=4,
+    ),
+    agent=st.tuples(st.integers(-50, 550), st.integers(60, 130)),
+)  # fmt: skip
+def test_company_beside_its_way_changes_no_bit(speed, after, stop, beside, agent) -> None:
+    """People and an agent who stand 10 to 80 cm off the bodies' way, but never on it."""
+    stops = (PersonStop(at=1.0 * stop, seconds=1.2, look=40.0),) if stop else ()
+    walker = EpisodePerson(
+        number=1, identity="drawn:0:0", path=((0.0, 0.0), (2.0, 0.0), (5.0, 0.0)),
+        speed=speed / 100, after=after, stops=stops,
+    )  # fmt: skip
+    others = [
+        EpisodePerson(
+            number=2 + k, identity="drawn:0:1", path=((x / 100, s * y / 100),), behaviour="stand"
+        )
+        for k, (x, y, s) in enumerate(beside)
+    ]
+    track = walk_alone(walker, 20)
+    people = [walker, *others]
+    state, routes = empty_crowd(1, len(people)), build_routes(people)
+    place_people(state, 0, routes, range(len(people)))
+    near = np.array([[agent[0] / 100, agent[1] / 100, AGENT]])
+    for tick in range(1, 201):
+        step_crowd(state, routes, WALLS, near)
+        assert state.real[0, 0, :2].tobytes() == track.place[tick].tobytes()
+        assert state.real[0, 0, 4:6].tobytes() == track.face[tick].tobytes()
 
 
 def test_who_is_in_the_way_is_gone_round() -> None:

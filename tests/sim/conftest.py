@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import Episode, MissionInstruction
+from gn0.missions.episode import Episode, MissionGoal, MissionInstruction
+from gn0.people.person import EpisodePerson, PersonStop
 from gn0.render.renderer import RenderResult
 from gn0.scenes.scene import Scene
 from gn0.sim.sensors import SensorConfig
@@ -81,3 +83,46 @@ def make_episode(room_scene):
         return Episode(**values)
 
     return make
+
+
+def build_hall(side: float) -> OccupancyGrid:
+    """A square hall with a pillar in its middle."""
+    count = round(side / 0.05)
+    cells = np.zeros((count, count), np.uint8)
+    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = 1, 1, 1, 1
+    middle = count // 2
+    cells[middle - 4 : middle + 4, middle - 4 : middle + 4] = 1
+    return OccupancyGrid(cells, 0.05, (0.0, 0.0))
+
+
+def build_crossers(side: float, count: int, seed: int) -> tuple[EpisodePerson, ...]:
+    """People who go to and fro across a hall in rows of their own, with stops, or stand."""
+    rows = np.linspace(0.9, side - 0.9, count + 1)[1:]
+    people = []
+    for k, y in enumerate(rows[np.abs(rows - side / 2) > 0.6].tolist()):
+        ends = ((0.7, y), (side - 0.7, y)) if (k + seed) % 2 else ((side - 0.7, y), (0.7, y))
+        stops = (PersonStop(at=1.5, seconds=1.0, look=40.0),) if k % 2 else ()
+        person = EpisodePerson(
+            number=3 * k + 1, identity=f"drawn:0:{k + 1}", path=ends, speed=0.5 + 0.1 * k,
+            after="back", stops=stops, seed=seed,
+        )  # fmt: skip
+        people.append(person)
+    return tuple(people)
+
+
+@pytest.fixture(scope="session")
+def halls():
+    """Two halls, and episodes of 0 to 5 people in them."""
+    scenes, episodes = [], []
+    for name, side in (("small", 4.0), ("large", 6.0)):
+        scenes.append(build_map_scene(build_hall(side), name))
+        for k, count in enumerate((0, 3, 5)):
+            goal = MissionGoal(
+                goal=(side - 0.6, 0.6), object_id="", category="bed", instruction="Go."
+            )
+            episode = Episode(
+                id=f"{name}-{k}", scene_id=name, mission=goal, start=(0.6, 0.6, 0.4 * k),
+                path=((0.6, 0.6), goal.goal), people=build_crossers(side, count, k),
+            )  # fmt: skip
+            episodes.append(episode)
+    return scenes, episodes

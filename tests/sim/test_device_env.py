@@ -15,7 +15,6 @@ from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, DeviceError, DeviceMemoryError, EpisodeError, SimError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
-from gn0.people.person import EpisodePerson
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_rollout import RolloutCollector, rollout_bytes
 from gn0.sim.vector import VectorEnv
@@ -431,14 +430,3 @@ def test_an_empty_queue_is_told(plans) -> None:
     env.step(np.zeros(2, int))
     with pytest.raises(DeviceError, match="none was ready"):
         env.synchronize()
-
-
-def test_people_are_refused_where_nobody_would_play_them(plans) -> None:
-    scenes, episodes = plans
-    x, y, _ = episodes[0].start
-    somebody = EpisodePerson(
-        number=1, identity="drawn:0:1", path=((x + 2.0, y),), behaviour="stand"
-    )
-    crowded = [msgspec.structs.replace(episodes[0], people=(somebody,)), *episodes[1:]]
-    with pytest.raises(EpisodeError, match=r"1 people, and environments on a device.*--people"):
-        VectorEnvDevice(2, scene=scenes, episodes=crowded, sensors=SENSORS, device=DeviceHost())

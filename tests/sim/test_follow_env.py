@@ -17,10 +17,11 @@ import gn0
 from gn0.errors import EpisodeError, SimError
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
 from gn0.missions.follow_rules import FOLLOW, FollowCount, FollowSight, count_step
+from gn0.missions.follow_target import FollowTarget
 from gn0.people.person import EpisodePerson
 from gn0.scenes import build_example_scene
 from gn0.sim.follow_env import FollowNavEnv
-from gn0.sim.follow_tally import ENDS, FollowTally, FollowTarget
+from gn0.sim.follow_tally import ENDS, FollowTally
 from gn0.sim.follow_vector import FollowVectorEnv
 
 gn0.register_envs()

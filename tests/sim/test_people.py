@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import msgspec
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import SyncVectorEnv
 
 from gn0.avatars import AvatarBank, generate_bank
 from gn0.errors import EpisodeError
@@ -206,7 +209,28 @@ def test_the_environment_tells_of_people() -> None:
     environment = GoalNavEnv(FLAT, episodes=episodes, sensors=("goal_vector", "ranges"), agent=BODY)
     check_env(environment, skip_render_check=True)
     _, info = environment.reset(seed=1)
-    assert info["people"].shape == (2, 4) and info["hit_person"] is None
+    assert info["people"].shape == (16, 4) and info["people_count"] == 2
+    assert info["people"][:2].any(axis=1).all() and not info["people"][2:].any()
+    assert (info["hit_person"], info["hit_by"], info["hit_tick"]) == (0, "", 0)
     for _ in range(6):
         *_, info = environment.step(FORWARD)
-    assert info["hit_person"] == {"number": 4, "by": "agent", "tick": info["hit_person"]["tick"]}
+    assert (info["hit_person"], info["hit_by"]) == (4, "agent") and info["hit_tick"] > 0
+
+
+def test_gymnasium_stacks_what_environments_tell_of_people() -> None:
+    """One with two people, one with one: equal shapes, whoever was run into."""
+    casts = [(stander(), walker((5.0, 3.3), (5.0, 1.5), after="back")), (stander(),)]
+
+    def make(cast: tuple[EpisodePerson, ...]) -> GoalNavEnv:
+        return GoalNavEnv(FLAT, episodes=[episode(*cast)], sensors=("ranges",), agent=BODY)
+
+    envs = SyncVectorEnv([partial(make, cast) for cast in casts])
+    _, infos = envs.reset(seed=1)
+    assert infos["people"].shape == (2, 16, 4)
+    assert infos["people_count"].tolist() == [2, 1]
+    assert infos["people"].any(axis=2).sum(axis=1).tolist() == [2, 1]
+    for _ in range(6):
+        *_, infos = envs.step(np.array([FORWARD, LEFT]))
+    assert infos["hit_person"].tolist() == [4, 0]
+    assert list(infos["hit_by"]) == ["agent", ""]
+    envs.close()

@@ -9,63 +9,19 @@ import pytest
 
 from gn0.avatars import AvatarBank, generate_bank
 from gn0.errors import EpisodeError
-from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow, MissionGoal
-from gn0.people.person import EpisodePerson, PersonStop
+from gn0.people.person import EpisodePerson
 from gn0.render import Camera
 from gn0.scenes import build_example_scene
 from gn0.sim import batch_people, batch_people_kernels
 from gn0.sim.continuous import read_action
+from gn0.sim.env import GoalNavEnv
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_map_scene
 
 BODY = AgentSpec(radius=0.25, step_seconds=0.2)  # two ticks an action
 WALK = [0.02, 0.7, 0.14, 0.14]  # STOP, FORWARD, LEFT, RIGHT
-
-
-def _hall(side: float) -> OccupancyGrid:
-    """A square hall with a pillar in its middle."""
-    count = round(side / 0.05)
-    cells = np.zeros((count, count), np.uint8)
-    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = 1, 1, 1, 1
-    middle = count // 2
-    cells[middle - 4 : middle + 4, middle - 4 : middle + 4] = 1
-    return OccupancyGrid(cells, 0.05, (0.0, 0.0))
-
-
-def _crossers(side: float, count: int, seed: int) -> tuple[EpisodePerson, ...]:
-    """People who go to and fro across a hall in rows of their own, with stops, or stand."""
-    rows = np.linspace(0.9, side - 0.9, count + 1)[1:]
-    people = []
-    for k, y in enumerate(rows[np.abs(rows - side / 2) > 0.6].tolist()):
-        ends = ((0.7, y), (side - 0.7, y)) if (k + seed) % 2 else ((side - 0.7, y), (0.7, y))
-        stops = (PersonStop(at=1.5, seconds=1.0, look=40.0),) if k % 2 else ()
-        person = EpisodePerson(
-            number=3 * k + 1, identity=f"drawn:0:{k + 1}", path=ends, speed=0.5 + 0.1 * k,
-            after="back", stops=stops, seed=seed,
-        )  # fmt: skip
-        people.append(person)
-    return tuple(people)
-
-
-@pytest.fixture(scope="module")
-def halls():
-    """Two halls, and episodes of 0 to 5 people in them."""
-    scenes, episodes = [], []
-    for name, side in (("small", 4.0), ("large", 6.0)):
-        scenes.append(build_map_scene(_hall(side), name))
-        for k, count in enumerate((0, 3, 5)):
-            goal = MissionGoal(
-                goal=(side - 0.6, 0.6), object_id="", category="bed", instruction="Go."
-            )
-            episode = Episode(
-                id=f"{name}-{k}", scene_id=name, mission=goal, start=(0.6, 0.6, 0.4 * k),
-                path=((0.6, 0.6), goal.goal), people=_crossers(side, count, k),
-            )  # fmt: skip
-            episodes.append(episode)
-    return scenes, episodes
 
 
 def _to_go(twin) -> float:
@@ -279,3 +235,32 @@ def test_pictures_show_people_as_a_simulator_s(tmp_path, monkeypatch) -> None:
             shown |= set(np.unique(found["who"]).tolist())
         assert not np.array_equal(before["rgb"][0], observation["rgb"][0])
     assert shown == {0, 2, 7}
+
+
+def test_the_maps_that_agents_make_let_go_of_people_as_alone(tmp_path) -> None:
+    """Somebody walks through the view and out of it: the map's clock is each agent's own."""
+    generate_bank(tmp_path, count=1, seed=1, density=0.02)
+    flat = build_example_scene()
+    passer = EpisodePerson(
+        number=1, identity="p0000", path=((3.1, 2.3), (3.1, 1.4), (1.4, 1.4)), speed=1.2
+    )
+    goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
+    episode = Episode(
+        id="e", scene_id=flat.id, mission=goal, start=(1.6, 2.5, 0.0),
+        path=((1.6, 2.5), goal.goal), people=(passer,),
+    )  # fmt: skip
+    told = {
+        "episodes": [episode], "sensors": ("occupancy",), "map_mode": "explored",
+        "preset": "tiny_128", "agent": BODY,
+    }  # fmt: skip
+    env, twin = VectorEnv(2, flat, bank=tmp_path, **told), GoalNavEnv(flat, bank=tmp_path, **told)
+    many, _ = env.reset(seed=0)
+    one, _ = twin.reset(seed=0)
+    met = one["occupancy"].copy()
+    for k in range(45):
+        action = 2 + k % 2
+        many, *_ = env.step(np.array([action, action]))
+        one, *_ = twin.step(action)
+        for row in many["occupancy"]:
+            assert row.tobytes() == one["occupancy"].tobytes()
+    assert (met != one["occupancy"]).any()

@@ -1,7 +1,7 @@
 """What a harness notes of the people of an episode while it is played: touches, tracks, the end.
 
 An episode of following is ended by `gn0.missions.follow_rules`, from what this notes; in any other
-with people the moves that somebody cut short are counted.
+with people the touches are counted, by the same rule.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from gn0.geometry import F64, wrap_angle
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import (
-    PREFERRED,
     FollowCount,
     FollowEnd,
     FollowRules,
     FollowSight,
     count_step,
+    touched_person,
 )
+from gn0.missions.follow_target import follow_target
 from gn0.people.reach import ARRIVED, MODE
 from gn0.sim.state import Action
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class CompanyWatch:
-    """Counts the moves that people cut short, and keeps a digest of where everybody was.
+    """Counts touches, as `touched_person` has them, and keeps a digest of where everybody was.
 
     Args:
         simulator: in which the episode is played.
@@ -54,9 +55,9 @@ class CompanyWatch:
         self._digest.update(np.ascontiguousarray(self.simulator.company.places).tobytes())
         if result is None:
             return False
-        hit = result.info.get("hit_person")
-        if hit is not None:
-            self.touches.append((self._actions, hit.number))
+        touched = touched_person(result.info.get("hit_person"))
+        if touched is not None:
+            self.touches.append((self._actions, touched))
         self._actions += 1
         return False
 
@@ -101,22 +102,18 @@ class FollowReferee:
         rules: FollowRules,
         sight: OccupancyGrid | None = None,
     ) -> None:
-        mission, person = episode.mission, episode.followed
-        if not isinstance(mission, MissionFollow) or person is None:
-            raise EpisodeError(
-                "its mission does not say whom to follow, and nobody walks ahead",
-                where=f"episode {episode.id!r}",
-                remedy="make the suite with `gn0 missions generate --types follow`",
-            )
+        target, mission = follow_target(episode), episode.mission
+        assert isinstance(mission, MissionFollow)
+        person = episode.people[target.row]
         self.simulator, self.rules, self.person = simulator, rules, person
         camera = simulator.config.preset.rgb
         self._sight, self._picture = sight, camera.width * camera.height
-        self._row = episode.people.index(person)
+        self._row = target.row
         self._numbers = tuple(p.number for p in episode.people)
         self._recorder = FollowRecorder(
             person.number,
             step_seconds=episode.agent.step_seconds,
-            preferred=mission.distance or PREFERRED,
+            preferred=target.distance,
             reference_steps=0 if rules.stop_ends else len(mission.actions),
             picture=self._picture if sight is None else 0,
         )
@@ -134,14 +131,14 @@ class FollowReferee:
         if result is None:
             self._recorder.begin(simulator.pose, places, pixels=pixels, in_sight=in_sight)
             return False
-        hit = result.info.get("hit_person")
+        touched = touched_person(result.info.get("hit_person"))
         code = result.info["action"]
         arrived = bool(simulator.company.state.whole[0, self._row, MODE] == ARRIVED)
         self._recorder.step(
             simulator.pose,
             places,
             code,
-            hit=None if hit is None else hit.number,
+            hit=touched,
             cost=result.steps,
             arrived=arrived,
             pixels=pixels,
@@ -152,7 +149,7 @@ class FollowReferee:
             faced = self.rules.is_faced(pixels[number], self._picture)
         else:
             faced = self._is_ahead(places[number]) and bool(in_sight and in_sight[number])
-        return self._judge(places[number], faced, code, hit is not None, result.steps)
+        return self._judge(places[number], faced, code, touched is not None, result.steps)
 
     def _count_pixels(self) -> dict[int, int] | None:
         if self._sight is not None:

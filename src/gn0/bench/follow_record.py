@@ -26,7 +26,7 @@ class FollowRecord:
         people: [P, T+1, 2] x, y [m] of everybody at the same times.
         actions: [T] action codes; −1 a move of any length.
         target: which of the people is to be followed.
-        hits: [T] which person cut the agent's move short; −1 nobody. None: nobody ever did.
+        hits: [T] which person the agent touched; −1 nobody. None: it never did.
         costs: [T] steps that each action took. None: one each.
         pixels: [P, T+1] pixels of each person in the agent's picture, hidden ones not counted.
             None where no pictures were made.

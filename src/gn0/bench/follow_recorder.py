@@ -91,7 +91,7 @@ class FollowRecorder:
             pose: of the agent after it.
             people: where everybody is, by number.
             action: its code; −1 a move of any length.
-            hit: number of the person who cut the agent's own move short.
+            hit: number of the person whom the agent touched, see `follow_rules.touched_person`.
             cost: steps that it took.
             arrived: whether the track of the person to follow is over.
             pixels: see `begin`.

@@ -19,7 +19,7 @@ class FollowTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     Attributes:
         people: (x, y) [m] of each person after reset and after each action.
         target: which of them was to be followed.
-        hits: (index of an action that a person cut short, which person).
+        hits: (index of an action in which the agent touched somebody, which person).
         pixels: pixels of each person in the agent's picture at the same times; not there where no
             pictures were made.
         picture: pixels of the picture.

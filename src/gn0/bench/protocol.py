@@ -278,7 +278,7 @@ def _follow_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
     touch = (
         f"a centre distance below {rules.touch_within:g} m"
         if rules.touch_within
-        else "a move that a person cut short"
+        else "a move cut short because of a person, by the agent"
     )
     return (
         (

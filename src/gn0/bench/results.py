@@ -89,7 +89,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         mission: its mission where it has a path: "goal", "instruction/detailed", …
         moves: its Teleports and Displacements; absent when there were none.
         follow: scores of following, in an episode of following.
-        touches: moves of the agent that a person cut short, in any other episode with people.
+        touches: moves in which the agent touched a person, in any other episode with people.
     """
 
     episode: str
@@ -135,7 +135,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         teleports: (x, y, yaw) that the teleports asked for, in order.
         costs: steps that each action took; not there where each took one.
         follow: tracks of people and who was seen, in an episode of following.
-        touches: in any other episode with people: (index of an action that one cut short, number of
+        touches: in any other episode with people: (index of an action that touched one, number of
             the person).
         people: in the same: digest of everybody's places after reset and after each action.
     """

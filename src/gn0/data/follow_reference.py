@@ -22,7 +22,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
-from gn0.missions.follow_rules import FOLLOW, FollowRules
+from gn0.missions.follow_rules import FOLLOW, PREFERRED, FollowRules, touched_person
 from gn0.missions.generate.follow_settings import FollowSettings
 from gn0.missions.generate.follow_sight import sight_grid
 from gn0.people.person import EpisodePerson
@@ -33,8 +33,6 @@ from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action
 
 VIOLATIONS = ("too near", "too far", "out of sight", "off axis", "near others")
-
-_ON_TIME = 0.01  # m from where a person would be alone: farther, and somebody held it up
 
 
 def person_track(person: EpisodePerson, seconds: float) -> TargetTrack:
@@ -68,7 +66,7 @@ def follow_task(episode: Episode, sight: OccupancyGrid | None = None) -> FollowT
     linger = mission.seconds + FOLLOW.linger + episode.agent.step_seconds
     return FollowTask(
         person_track(person, linger),
-        distance=mission.distance or 1.5,
+        distance=mission.distance or PREFERRED,
         lateral=mission.lateral,
         agent=episode.agent,
         sight=sight,
@@ -87,7 +85,7 @@ class FollowReference:
         walked: [T+1] m that it has walked, of which the gait's phase is made.
         clips: [T+1] 1 while it walks, else 0.
         violations: [T] the kind of each step's violation, a number in `VIOLATIONS`; −1 none.
-        touched: a move of the agent was cut because of somebody.
+        touched: the agent touched somebody, see `follow_rules.touched_person`.
     """
 
     actions: NDArray[np.int8]
@@ -170,7 +168,7 @@ class FollowTracker:
             except PlanError:
                 return None, "tracker cut off"
             result = simulator.step(action)
-            if result.info.get("hit_person") is not None:
+            if touched_person(result.info.get("hit_person")) is not None:
                 return None, "touch"
             if not recorder.keeps(task.track):
                 return None, "person held up"
@@ -193,7 +191,8 @@ class FollowTracker:
         for code in mission.reference_actions:
             result = simulator.step(code)
             kind = self._violation(simulator, recorder.row, sight)
-            recorder.note(code, kind, touched=result.info.get("hit_person") is not None)
+            touched = touched_person(result.info.get("hit_person")) is not None
+            recorder.note(code, kind, touched=touched)
         return recorder.done()
 
     def _violation(self, simulator: Simulator, row: int, sight: OccupancyGrid) -> int:
@@ -239,14 +238,10 @@ class _Recorder:
         )
 
     def keeps(self, track: TargetTrack) -> bool:
-        """Whether the person is where it would be with nobody in its way.
-
-        Not to the last bit: kernels round otherwise where somebody is near.
-        """
+        """Whether the person is where it would be with nobody in its way, to the bit."""
         tick = round(10 * self.simulator.time)
         at = min(tick, len(track.times) - 1)
-        away = self.simulator.company.places[self.row] - track.places[at]
-        return bool(np.hypot(away[0], away[1]) <= _ON_TIME)
+        return np.array_equal(self.simulator.company.places[self.row], track.places[at])
 
     def note(self, action: int, violation: int, touched: bool = False) -> None:
         self.actions.append(action)

@@ -5,16 +5,41 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, overload
 
 import msgspec
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from gn0.geometry import F64
 
 FollowEnd = Literal["touch", "lost", "steps", "stop", "over"]
 """What ended an episode: a touch, loss, the last step, a STOP (profile `evt`), or the time after
 the person's track."""
 
+TOUCHED_BY = "agent"
+"""Who must have moved more towards the other in a tick that was not done, for it to be a touch."""
 PREFERRED = 1.5  # m: distance to keep where the mission tells none
 SAME_TIME = 1e-9  # s: clocks that differ by less say the same
+
+
+class _CutMove(Protocol):
+    """A move of the agent that was cut because of a person, see `gn0.sim.people.PersonHit`."""
+
+    @property
+    def number(self) -> int: ...
+    @property
+    def by(self) -> str: ...
+
+
+def touched_person(cut: _CutMove | None) -> int | None:
+    """Whom the agent touched: the number of a person for whom its move was cut, by the agent.
+
+    A person that walks into the agent's way cuts its move, too, and is not touched by it.
+    """
+    return None if cut is None or cut.by != TOUCHED_BY else cut.number
 
 
 class FollowRules(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,7 +56,7 @@ class FollowRules(msgspec.Struct, frozen=True, kw_only=True):
         lost_beyond: steps farther than this from the person [m] count towards being lost.
         lost_after: more such steps than this since the last one that followed, and it is lost.
         touch_within: a centre distance to the person below this is a touch [m]; 0 where a touch is
-            a move of the agent that a person cut short.
+            a move of the agent cut because of a person, by the agent, see `touched_person`.
         nearest: at a success before the last step the person is at least this far [m].
         stop_ends: STOP ends the episode; else it stands still for one action.
         linger: how long an episode goes on after the person's track is over [s].
@@ -70,8 +95,14 @@ class FollowRules(msgspec.Struct, frozen=True, kw_only=True):
         """Whether a step at that distance [m] follows."""
         return faced and distance <= self.reach
 
-    def touches(self, distance: float, hit: bool) -> bool:
-        """Whether a step is a touch: `hit` says that a person cut the agent's move short."""
+    @overload
+    def touches(self, distance: float, hit: bool) -> bool: ...
+    @overload
+    def touches(self, distance: F64, hit: NDArray[np.bool_]) -> NDArray[np.bool_]: ...
+    def touches(
+        self, distance: float | F64, hit: bool | NDArray[np.bool_]
+    ) -> bool | NDArray[np.bool_]:
+        """Whether a step, or each of many, is a touch: `hit` is what `touched_person` says."""
         return distance < self.touch_within if self.touch_within > 0 else hit
 
 
@@ -99,7 +130,7 @@ class FollowSight(NamedTuple):
     Attributes:
         distance: of the centres of agent and person [m].
         faced: whether the person is faced.
-        hit: a person cut the agent's move short.
+        hit: the agent touched somebody, see `touched_person`.
         stopped: the action was STOP.
         cost: steps that the action took.
     """

@@ -23,6 +23,8 @@ from gn0.maps.inflate import inflate
 from gn0.people.person import RADIUS, WALL_DISTANCE
 from gn0.people.reach import (
     BLOCKED_BY,
+    CLAIM,
+    CLAIM0,
     CLIP_SINCE,
     DIRECTION,
     HX,
@@ -129,6 +131,7 @@ def place_rows(real, whole, route, routes, row, numbers):  # type: ignore[no-unt
         whole[row, p, DIRECTION] = 1
         whole[row, p, BLOCKED_BY] = NOBODY
         whole[row, p, CLIP_SINCE] = LONG_AGO
+        whole[row, p, CLAIM] = whole[row, p, CLAIM0] = routes.table[r, 7]
 
 
 def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:

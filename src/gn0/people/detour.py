@@ -12,16 +12,25 @@ from gn0.people.reach import (
     BACK_LEFT,
     BACK_SECONDS,
     BLOCKED_BY,
+    CLAIM,
+    CLAIM0,
     DIRECTION,
+    ENOUGH,
+    FEW_TURNS,
+    FIRM,
     HOLD,
     HOME,
     HX,
     HY,
+    LENT_LEFT,
     MODE,
     NO_WAY_SECONDS,
     NOBODY,
     ON_PATH,
     PIECE,
+    PRESS_SECONDS,
+    PRESSED,
+    RIVAL,
     ROOM,
     ROUND_COS,
     ROUND_COS20,
@@ -34,6 +43,8 @@ from gn0.people.reach import (
     SIDE,
     SIDEWAYS,
     SPEED,
+    SQUEEZE,
+    STEADY,
     TURNED,
     TURNS,
     WAIT,
@@ -49,7 +60,7 @@ from gn0.people.reach import (
     share_allowed,
     turn_to,
 )
-from gn0.people.route import ACCELERATION
+from gn0.people.route import ACCELERATION, SCRIPT
 
 
 @njit_borrowing
@@ -99,27 +110,49 @@ def nearest_way(routes, r, way, piece, sign, x, y):
 
 
 @njit_borrowing
-def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p):
-    """A tick away from everybody, wherever there is room."""
+def clear_line(walls, wall_arrays, e, x, y, u, v):
+    """Whether five places of a short line are free of walls."""
+    for k in range(1, 6):
+        if not is_free(walls, wall_arrays, e, x + (u - x) * (0.2 * k), y + (v - y) * (0.2 * k)):
+            return False
+    return True
+
+
+@njit_borrowing
+def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p, mx, my):
+    """A tick away from everybody, where there is room; (mx, my) on the path is kept in sight."""
     x, y, v, dt = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED], pace.seconds
     now = min(v + ACCELERATION * dt * 0.875, 0.5)
     step = 0.5 * (v + now) * dt
     hx, hy = real[e, p, HX], real[e, p, HY]
-    best, bx, by = gap_at(real, route, agent, radius, e, p, x, y) + 0.02, 0.0, 0.0
-    for turn in range(-6, 7):
+    here = gap_at(real, route, agent, radius, e, p, x, y) + 0.01
+    if here > ENOUGH:
+        whole[e, p, ASIDE_LEFT], real[e, p, SPEED] = 0, 0.0
+        return
+    sees = clear_line(walls, wall_arrays, e, x, y, mx, my)
+    best, bx, by = -1e30, 0.0, 0.0
+    for turn in range(-5, 7):  # twelve directions of the plane
         cos, sin = ROUND_COS[abs(turn)], ROUND_SIN[abs(turn)]
         if turn < 0:
             sin = -sin
-        ux, uy = hx * cos - hy * sin, hx * sin + hy * cos
         free = True
-        for part in (0.1, 0.2, 0.3):
+        ux, uy = cos, sin
+        for part in (0.1, 0.2):
             if not is_free(walls, wall_arrays, e, x + ux * part, y + uy * part):
                 free = False
                 break
         if free and is_free(walls, wall_arrays, e, x + ux * step, y + uy * step):
-            clear = gap_at(real, route, agent, radius, e, p, x + ux * 0.3, y + uy * 0.3)
-            if clear > best:
-                best, bx, by = clear, ux, uy
+            share, _ = share_allowed(
+                real, route, agent, radius, e, p, x + ux * SHUFFLE, y + uy * SHUFFLE
+            )
+            if share < 1.0:
+                continue
+            clear = gap_at(real, route, agent, radius, e, p, x + ux * 0.2, y + uy * 0.2)
+            score = clear + STEADY * (ux * hx + uy * hy)
+            if clear > here and score > best:
+                qx, qy = x + ux * 0.2, y + uy * 0.2
+                if not sees or clear_line(walls, wall_arrays, e, qx, qy, mx, my):
+                    best, bx, by = score, ux, uy
     real[e, p, SPEED] = 0.0
     if bx == 0.0 and by == 0.0:
         whole[e, p, ASIDE_LEFT] = 0
@@ -130,60 +163,109 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p)
     share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny)
     if share >= 1.0:
         real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, now
+        whole[e, p, ASIDE_LEFT] -= 1
     else:
         whole[e, p, ASIDE_LEFT] = 0
-
-
-@njit_borrowing
-def clear_line(walls, wall_arrays, e, x, y, u, v):
-    """Whether five places of a short line are free of walls."""
-    for k in range(1, 6):
-        if not is_free(walls, wall_arrays, e, x + (u - x) * (0.2 * k), y + (v - y) * (0.2 * k)):
-            return False
-    return True
 
 
 @njit_borrowing
 def come_home(whole, routes, r, way, piece, e, p):
     """Be on the path again; stops that were passed are left out."""
     whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
+    whole[e, p, PRESSED] = 0
     first, last = routes.table[r, 2], routes.table[r, 3]
     while first + whole[e, p, HOLD] < last and routes.holds[first + whole[e, p, HOLD], 0] < way:
         whole[e, p, HOLD] += 1
 
 
 @njit_borrowing
+def claim_ahead(real, whole, route, routes, agent, radius, e, p):
+    """The highest claim of anybody who disputes the way ahead, a tick ago; 0 where nobody does."""
+    x, y, hx, hy = real[e, p, X0], real[e, p, Y0], real[e, p, HX], real[e, p, HY]
+    most = 0
+    for j in range(-1, real.shape[1]):
+        if j == p:
+            continue
+        if j < 0:
+            if agent[e, 2] < 0.0:
+                continue
+            dx, dy, reach = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2] + RIVAL
+        else:
+            if route[e, j] < 0:
+                continue
+            dx, dy, reach = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius + RIVAL
+        if dx * hx + dy * hy <= 0.0 or dx * dx + dy * dy > reach * reach:
+            continue
+        if j < 0 or routes.table[route[e, j], 5] != SCRIPT:
+            most = 2 * FIRM
+        else:
+            most = max(most, whole[e, j, CLAIM0])
+    return most
+
+
+@njit_borrowing
+def turn_back(real, whole, route, routes, pace, agent, radius, e, p, aside):
+    """Yield to a higher claim ahead and walk back with it; who has the highest stays for a time."""
+    r, sign = route[e, p], whole[e, p, DIRECTION]
+    claim = claim_ahead(real, whole, route, routes, agent, radius, e, p)
+    on_way = aside <= HOME
+    pressed = whole[e, p, PRESSED]
+    if on_way and 0 < claim <= whole[e, p, CLAIM0] and pressed < PRESS_SECONDS * pace.rate:
+        whole[e, p, PRESSED] += 1
+        return
+    if claim > whole[e, p, CLAIM0]:
+        # who does not move has no claim to lend: one's own goes before all others then
+        whole[e, p, CLAIM] = FIRM + routes.table[r, 7] if claim == 2 * FIRM else claim
+        whole[e, p, LENT_LEFT] = BACK_SECONDS * pace.rate + routes.table[r, 6]
+    if whole[e, p, WAIT] > 0 and (not on_way or whole[e, p, TURNED] % 2 == 1):
+        whole[e, p, ASIDE_LEFT] = routes.table[r, 6]
+    whole[e, p, WAIT], whole[e, p, PRESSED] = 0, 0
+    whole[e, p, ROUND_TICKS], whole[e, p, SIDE] = 0, -whole[e, p, SIDE]
+    whole[e, p, TURNED] += 1
+    whole[e, p, BACK_LEFT] = 0
+    way = real[e, p, WAY]
+    if routes.table[r, 4] != 2 and (way <= 0.0 if sign > 0 else way >= routes.lines[r, 1]):
+        whole[e, p, ASIDE_LEFT] = routes.table[r, 6]  # at its very end there is no way back
+        return
+    whole[e, p, DIRECTION] = -sign
+    if sign > 0 and routes.table[r, 4] != 1:
+        whole[e, p, BACK_LEFT] = BACK_SECONDS * pace.rate + routes.table[r, 6]
+
+
+@njit_borrowing
 def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick beside the path, around whoever is on it."""
     r, dt = route[e, p], pace.seconds
-    sign, side = whole[e, p, DIRECTION], whole[e, p, SIDE]
     x, y, v = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED]
     length = routes.lines[r, 1]
     whole[e, p, ROUND_TICKS] += 1
+    loops = routes.table[r, 4] == 2
+    if loops:  # over the seam
+        sign = whole[e, p, DIRECTION]
+        if sign > 0 and real[e, p, WAY] >= length:
+            real[e, p, WAY], whole[e, p, PIECE], whole[e, p, HOLD] = 0.0, 0, 0
+        elif sign < 0 and real[e, p, WAY] <= 0.0:
+            real[e, p, WAY] = length
+            whole[e, p, PIECE] = routes.table[r, 1] - routes.table[r, 0] - 2
     if (
         whole[e, p, ROUND_TICKS] > ROUND_SECONDS * pace.rate
         or whole[e, p, WAIT] > NO_WAY_SECONDS * pace.rate
     ):
-        if whole[e, p, WAIT] > 0 and whole[e, p, TURNED] % 2 == 1:
-            whole[e, p, ASIDE_LEFT] = routes.table[r, 6]
-        whole[e, p, WAIT] = 0
-        whole[e, p, ROUND_TICKS], whole[e, p, SIDE] = 0, -side
-        whole[e, p, DIRECTION] = sign = -sign
-        whole[e, p, TURNED] += 1
-        whole[e, p, BACK_LEFT] = 0
-        if sign < 0 and routes.table[r, 4] != 1:
-            whole[e, p, BACK_LEFT] = BACK_SECONDS * pace.rate + routes.table[r, 6]
-        side = -side
-    if whole[e, p, ASIDE_LEFT] > 0:
-        whole[e, p, ASIDE_LEFT] -= 1
-        make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p)
-        return
+        _, aside, _ = nearest_way(
+            routes, r, real[e, p, WAY], whole[e, p, PIECE], whole[e, p, DIRECTION], x, y
+        )
+        turn_back(real, whole, route, routes, pace, agent, radius, e, p, aside)
+    sign, side = whole[e, p, DIRECTION], whole[e, p, SIDE]
     way, aside, piece = nearest_way(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
+    mx, my, _, _, _ = place_at(routes, r, way, piece)
+    if whole[e, p, ASIDE_LEFT] > 0:
+        make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p, mx, my)
+        return
     real[e, p, WAY], whole[e, p, PIECE] = way, piece
     fastest = min(ROUND_SPEED, routes.lines[r, 0])
     now = min(v + ACCELERATION * dt * 0.875, fastest)
     step = 0.5 * (v + now) * dt
-    bx, by, best = 0.0, 0.0, -1e30
+    bx, by, best, qx, qy = 0.0, 0.0, -1e30, x, y
     if aside <= HOME:
         _, who = room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, 0.6)
         nx, ny, piece, tx, ty = place_at(routes, r, way, piece)
@@ -205,7 +287,12 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
             if share >= 1.0 and free:
                 bx, by, best = ux, uy, 1.0
     carrot = min(max(aside + 0.3, 0.4), 1.2)
-    at = min(max(way + sign * carrot, 0.0), length)
+    at = way + sign * carrot
+    if loops and at > length:
+        at -= length
+    elif loops and at < 0.0:
+        at += length
+    at = min(max(at, 0.0), length)
     cx, cy, _, _, _ = place_at(routes, r, at, piece)
     dx, dy = cx - x, cy - y
     size = math.sqrt(dx * dx + dy * dy)
@@ -214,7 +301,10 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
     else:
         dx, dy = dx / size, dy / size
     here = gap_at(real, route, agent, radius, e, p, x, y)
-    for turn in TURNS:
+    squeezes = whole[e, p, TURNED] % 4 > 1
+    room = SQUEEZE if squeezes else ROOM
+    for k in range(len(TURNS) if squeezes else FEW_TURNS):
+        turn = TURNS[k]
         if best == 1.0:  # the path itself, near by and free
             break
         if turn >= 0:
@@ -233,11 +323,14 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
                 ok = False
                 break
             clear = gap_at(real, route, agent, radius, e, p, qx, qy)
-            if clear < ROOM and clear < here + 0.2 * reach * part:
+            if clear < room and clear < here + 0.2 * reach * part:
                 ok = False
                 break
         if ok and not is_free(walls, wall_arrays, e, x + ux * step, y + uy * step):
             ok = False
+        if ok and not squeezes:  # whence one sees the path, one comes back to it
+            ok = clear_line(walls, wall_arrays, e, qx, qy, cx, cy)
+            ok = ok or clear_line(walls, wall_arrays, e, qx, qy, mx, my)
         if ok:
             best, bx, by = score, ux, uy
     if best < -1e29:

@@ -29,7 +29,11 @@ CLIP_SINCE = 9  # ticks since it was something else
 BLOCKED_BY = 10  # row of the person who was in its way in the last tick, AGENT or NOBODY
 TURNED = 11  # times that it turned back for want of a way round
 ASIDE_LEFT = 12  # ticks that it still makes room, having found no way either way
-WHOLES = 13
+PRESSED = 13  # ticks that it has stood on its right of way
+CLAIM = 14  # its right of way: its own, or while it yields that of whom it yields to
+CLAIM0 = 15  # the same a tick ago, which others read
+LENT_LEFT = 16  # ticks that a claim is still lent to it
+WHOLES = 17
 
 ON_PATH, ROUND, ARRIVED = 0, 1, 2
 STILL, WALK = 0, 1
@@ -44,8 +48,15 @@ SIDEWAYS = 0.5  # the same of who goes round
 ROUND_SPEED = 0.6  # m/s at most, going round
 ROUND_SECONDS = 4  # s of going round before one turns back
 NO_WAY_SECONDS = 0.5  # s without any way on before one turns back
+PRESS_SECONDS = 1  # s that one stands on one's right of way before one turns back as well
+FIRM = 1 << 40  # claim of those who cannot move: the agent, and who stands or sits
+ENOUGH = 0.4  # m of gap that others pass through
+LEAVE = 0.5  # m more that one stays away from who has the right of way
+STEADY = 0.15  # m of gap that it is worth not to turn, making room
+RIVAL = 0.45  # m between two bodies, from which they dispute a way
 BACK_SECONDS = 5  # s of walking back before one turns again
 ROOM = 0.06  # m that one keeps from others while one goes round
+SQUEEZE = 0.01  # m that one keeps from others who has tried both ways
 HOME = 0.3  # m from the path, from where one walks straight back to it
 SHUFFLE = 0.1  # m that one goes sideways without turning
 CLOSE = 1e-4  # m
@@ -55,7 +66,8 @@ ROUND_COS20 = (1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693
         -0.17364817766693033, -0.5)  # fmt: skip
 ROUND_SIN20 = (0.0, 0.3420201433256687, 0.6427876096865393, 0.8660254037844386, 0.984807753012208,
         0.984807753012208, 0.8660254037844386)  # fmt: skip
-TURNS = (0, 1, -1, 2, -2, 3, 4, 5, 6)  # of these, to the side and back; the straightest first
+TURNS = (0, 1, -1, 2, -2, 3, 4, 5, 6, -3, -4, -5, -6)  # of these, to the side and back
+FEW_TURNS = 9  # of them that are tried at first
 # the same of 0, 30, … 180 degrees
 ROUND_COS = (1.0, 0.8660254037844386, 0.5, 0.0, -0.5, -0.8660254037844386, -1.0)
 ROUND_SIN = (0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0)

@@ -39,8 +39,9 @@ class Routes(NamedTuple):
     """Many routes in few arrays, for kernels.
 
     Attributes:
-        table: int64 [R, 7] of each route: its first point and the one after its last, the same of
-            its stops, codes of what follows its end and of behaviour, ticks of patience.
+        table: int64 [R, 8] of each route: its first point and the one after its last, the same of
+            its stops, codes of what follows its end and of behaviour, ticks of patience, and the
+            right of way: of two people the one with more goes first.
         lines: [R, 4] speed [m/s], length [m], unit vector of the heading it begins with.
         points: [N, 7] x, y [m]; unit vector of the piece that begins there; way from the start
             [m]; the fastest that it may be passed at on the way out, and on the way back [m/s].
@@ -65,14 +66,14 @@ def build_routes(people: Sequence[EpisodePerson], ticks_a_second: int = 10) -> R
     holds = np.cumsum([0, *(len(part.holds) for part in parts)])
     table = [
         (*points[k : k + 2], *holds[k : k + 2], _AFTER[one.after], _BEHAVIOUR[one.behaviour],
-         parts[k].patience)
+         parts[k].patience, parts[k].right)
         for k, one in enumerate(people)
     ]  # fmt: skip
     lines = [
         (one.speed, part.points[-1, 4], *part.face) for one, part in zip(people, parts, strict=True)
     ]
     return Routes(
-        table=np.array(table, np.int64).reshape(-1, 7),
+        table=np.array(table, np.int64).reshape(-1, 8),
         lines=np.array(lines, np.float64).reshape(-1, 4),
         points=np.concatenate([np.zeros((0, 7)), *(part.points for part in parts)]),
         holds=np.concatenate([np.zeros((0, 4)), *(part.holds for part in parts)]),
@@ -84,10 +85,13 @@ class _Route(NamedTuple):
     holds: F64
     face: tuple[float, float]
     patience: int
+    right: int
 
 
 def _build(person: EpisodePerson, rate: int) -> _Route:
-    waits = derive_seed(person.seed, "patience") % 1024 / 1024
+    own = derive_seed(person.seed, "patience")
+    waits = own % 1024 / 1024
+    right = own // 1024 % 65536 * 32 + person.number  # no two of an episode have the same
     patience = round((PATIENCE[0] + (PATIENCE[1] - PATIENCE[0]) * waits) * rate)
     place = [person.path[0]]
     for x, y in person.path[1:]:
@@ -96,7 +100,7 @@ def _build(person: EpisodePerson, rate: int) -> _Route:
     if len(place) == 1:
         face = unit_of(person.yaw * (180.0 / 3.141592653589793))
         return _Route(
-            np.array([(*place[0], *face, 0.0, 0.0, 0.0)]), np.zeros((0, 4)), face, patience
+            np.array([(*place[0], *face, 0.0, 0.0, 0.0)]), np.zeros((0, 4)), face, patience, right
         )
     steps = [(x - u, y - v) for (u, v), (x, y) in pairwise(place)]
     long = [_long(x, y) for x, y in steps]
@@ -136,6 +140,7 @@ def _build(person: EpisodePerson, rate: int) -> _Route:
         np.array(holds, np.float64).reshape(-1, 4),
         tangent[0],
         patience,
+        right,
     )
 
 

@@ -19,6 +19,8 @@ from gn0.people.reach import (
     ARRIVED,
     BACK_LEFT,
     BLOCKED_BY,
+    CLAIM,
+    CLAIM0,
     CLIP,
     CLIP_SINCE,
     CLOSE,
@@ -28,6 +30,8 @@ from gn0.people.reach import (
     HOLD_LEFT,
     HX,
     HY,
+    LEAVE,
+    LENT_LEFT,
     MODE,
     MOVED,
     NOBODY,
@@ -65,6 +69,7 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
     for p in range(count):
         real[e, p, X0] = real[e, p, X]
         real[e, p, Y0] = real[e, p, Y]
+        whole[e, p, CLAIM0] = whole[e, p, CLAIM]
     for p in range(count):
         r = route[e, p]
         if r < 0:
@@ -78,6 +83,10 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
                     whole[e, p, DIRECTION] = 1
                 elif whole[e, p, BACK_LEFT] == 0:
                     whole[e, p, BACK_LEFT] = 1
+            if whole[e, p, LENT_LEFT] > 0:
+                whole[e, p, LENT_LEFT] -= 1
+                if whole[e, p, LENT_LEFT] == 0:
+                    whole[e, p, CLAIM] = routes.table[r, 7]
             if whole[e, p, MODE] == ROUND:
                 go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p)
             else:
@@ -266,9 +275,20 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
         )
         if blocker == NOBODY:
             ahead = SIGHT
+        elif blocker >= 0 and whole[e, blocker, CLAIM0] > whole[e, p, CLAIM0]:
+            ahead = max(ahead - LEAVE, 0.0)
     gone = 0.0
-    if not near and v > 0.0 and _cruise(real, whole, routes, pace, e, p, r):
-        return
+    # by the same sums as with nobody near, so that only who is in the way changes a bit
+    room = ahead - COMFORT - v * pace.seconds
+    clear = blocker == NOBODY or (room > 0.0 and 2.0 * BRAKE * room >= v * v)
+    if clear and v > 0.0 and _cruise(real, whole, routes, pace, e, p, r):
+        share, who = 1.0, NOBODY
+        if near:
+            x, y = real[e, p, X], real[e, p, Y]
+            share, who = share_allowed(real, route, agent, radius, e, p, x, y)
+        if share >= 1.0:
+            return
+        real[e, p, WAY], real[e, p, X], real[e, p, Y] = way, real[e, p, X0], real[e, p, Y0]
     for _ in range(pace.parts):
         if whole[e, p, MODE] == ARRIVED:
             break
@@ -290,7 +310,9 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
             if share < 1.0:
                 gone, there = 0.0, way
                 x, y, after, tx, ty = place_at(routes, r, way, piece)
-            whole[e, p, DIRECTION], whole[e, p, HOLD], whole[e, p, MODE] = sign, held, mode
+            if whole[e, p, DIRECTION] == sign:
+                whole[e, p, HOLD] = held
+            sign, whole[e, p, MODE] = whole[e, p, DIRECTION], mode
             real[e, p, HOLD_LEFT], whole[e, p, PIECE] = hold_left, after
             real[e, p, WAY], real[e, p, SPEED] = there, gone / pace.seconds
     if gone > 0.0:
@@ -298,7 +320,10 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
     whole[e, p, BLOCKED_BY] = blocker
     if blocker != NOBODY and gone < MOVED * pace.seconds:
         whole[e, p, WAIT] += 1
-        if whole[e, p, WAIT] > routes.table[r, 6]:
+        patience = routes.table[r, 6]
+        if blocker >= 0 and whole[e, blocker, CLAIM0] > whole[e, p, CLAIM0]:
+            patience //= 2
+        if whole[e, p, WAIT] > patience:
             whole[e, p, MODE], whole[e, p, ROUND_TICKS], whole[e, p, WAIT] = ROUND, 0, 0
             whole[e, p, SIDE] = choose_side(
                 real, route, walls, wall_arrays, agent, radius, e, p, sign * tx, sign * ty

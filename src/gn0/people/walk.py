@@ -57,8 +57,7 @@ def walk_alone(
 ) -> WalkTrack:
     """How a person moves with nobody in its way: what a simulator plays.
 
-    Bit for bit where nobody comes near, and to rounding (1e-15 m) where somebody does who is not in
-    the way.
+    Bit for bit, whoever else is near, as long as nobody is in its way.
 
     Args:
         person: who, and where it goes.

@@ -6,6 +6,7 @@ from gn0.sim.device_rollout import RolloutCollector as RolloutCollector
 from gn0.sim.device_rollout import RolloutDevice as RolloutDevice
 from gn0.sim.env import GoalNavEnv as GoalNavEnv
 from gn0.sim.env import register_envs as register_envs
+from gn0.sim.follow_device import FollowVectorEnvDevice as FollowVectorEnvDevice
 from gn0.sim.motion import Moment as Moment
 from gn0.sim.motion import Motion as Motion
 from gn0.sim.motion import PartPath as PartPath

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F32, F64
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.follow_rules import TOUCHED_BY
 from gn0.missions.people import check_people_walls
 from gn0.people.crowd import PACE, CrowdState, Walls, build_walls, empty_crowd
 from gn0.people.person import RADIUS, EpisodePerson
@@ -255,6 +256,12 @@ class CompanyBatch:
         out = np.full((len(which), room, 4), np.nan)
         read_people(which, self.crowd, out)
         return out
+
+    def touched(self) -> NDArray[np.bool_]:
+        """Which agents touched somebody in their last moves; see `follow_rules.touched_person`."""
+        hit = self.crowd.hit
+        came = CAME_WORDS.tolist().index(TOUCHED_BY)
+        return np.asarray((hit[:, ROW] > 0) & (hit[:, CAME] == came))
 
     def hits(self, which: NDArray[np.int64]) -> Hits:
         """For whom the last moves of agents `which` [K] were cut."""

@@ -8,6 +8,10 @@
 Environment i, seeded with s, plays exactly what `VectorEnv` seeded with s plays: the same episodes,
 poses, collisions, distances and rewards, to the bit. A step waits for nothing: it is queued behind
 what was queued before, and so are the results.
+
+Where episodes have people, infos also hold `people`, `hit_person`, `hit_by` and `hit_tick`, as
+those of `VectorEnv` do, on the device; `hit_by` is a number there: 0 nobody, 1 the agent, 2 the
+person.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -29,14 +33,17 @@ from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.missions.people import refuse_people
-from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
+from gn0.sim.device_eyes import (
+    AgentsThere,
+    device_reader,
+    refuse_host_sensors,
+)
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
-from gn0.sim.device_motion import MotionDevice
+from gn0.sim.device_people import CompanyDevice
+from gn0.sim.device_sight import admit_people, open_eyes
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
 from gn0.sim.device_walkers import WalkersDevice
@@ -51,6 +58,9 @@ from gn0.sim.sensors import (
 )
 from gn0.sim.tasks import load_tasks
 from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
+
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
 
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
@@ -101,11 +111,12 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
         vocabulary: how `instruction_tokens` are made, bytes when None; see
             `gn0.sim.words.Vocabulary`, whose fields it may also be.
+        bank: of the people of episodes who have names in one, its folder or itself.
 
     Raises:
-        ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
-            continuous actions.
-        EpisodeError: no episode, or one of a scene that is not here.
+        ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves,
+            continuous actions, or what is not drawn beside people: motions, last pictures.
+        EpisodeError: no episode, one of a scene that is not here, or with people whom nobody plays.
         SimError: num_envs < 1 or too many, or an agent whose turns never come full circle.
         DeviceError: no such device here. DeviceMemoryError: it is too small.
         StorageError, FormatError: a file is missing or broken.
@@ -115,6 +126,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         "render_modes": [],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+
+    _company: type[CompanyDevice] = CompanyDevice
 
     def __init__(
         self,
@@ -144,6 +157,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         channels_first: bool = False,
         history_tile: tuple[int, int] | None = None,
         vocabulary: Vocabulary | Mapping[str, Any] | None = None,
+        bank: AvatarBank | Path | str | None = None,
     ) -> None:
         self.num_envs = num_envs
         self.sensors, words = split_sensors(sensors)
@@ -159,7 +173,6 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
-        refuse_people(self.tasks.episodes, "environments on a device")
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset, history_tile=history_tile)
         view = read_map_view(map_view)
@@ -173,32 +186,15 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         )
         map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         self.device = _open(device) if isinstance(device, str) else device
-        self._eyes: EyesDevice | None = None
-        if any(s.many is None for s in carried.sensors):
-            if isinstance(renderer, str):
-                needed = carried.needs_renderer(False)
-                chosen = open_renderer(renderer, device=self.device) if needed else None
-            else:
-                chosen = renderer
-            motion = None
-            if motions:
-                motion = MotionDevice(
-                    self.device,
-                    motions,
-                    sorted(self.tasks.scenes),
-                    num_envs,
-                    self.tasks.agent,
-                    self.tasks.max_steps,
-                )
-            self._eyes = EyesDevice(
-                config,
-                self.tasks.scenes,
-                self.tasks.agent,
-                chosen,
-                map_shape,
-                visible_sets,
-                motion,
-            )
+        self._config = config
+        self._eyes = open_eyes(
+            *(config, self.tasks, self.device, num_envs, renderer, map_shape),
+            visible_sets=visible_sets,
+            motions=motions,
+            bank=bank,
+            last=final_pictures,
+        )
+        self._admit(self.tasks.episodes)
         self.simulator = SimulatorDevice(
             num_envs,
             self.device,
@@ -212,6 +208,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             host_memory=host_memory,
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
+            company=self._company,
+            roles=None if self._eyes is None else self._eyes.roles_of,
         )
         self.copy, self.channels_first = copy, channels_first
         moved = picture_names(self.sensors, camera) if channels_first else ()
@@ -261,11 +259,14 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
     @property
     def memory(self) -> dict[str, int]:
-        """Bytes on the device: maps and fields that are there, and pictures of all agents."""
+        """Bytes on the device: maps and fields that are there, pictures of all agents, people."""
         pictures = (
             0 if self._eyes is None else self._eyes.bytes_of(self.num_envs, self.final_pictures)
         )
-        return {"maps and fields": self.simulator.store.pool.held, "pictures": pictures}
+        found = {"maps and fields": self.simulator.store.pool.held, "pictures": pictures}
+        if self.simulator.company:
+            found["people"] = self.simulator.company.nbytes
+        return found
 
     def reset(
         self,
@@ -577,6 +578,14 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._seen, self._eyes, self._expert, self._begun = {}, None, None, False
         del self.simulator, self._now, self._last, self._told, self._layout, self._states
 
+    def _admit(self, episodes: Sequence[Episode]) -> None:
+        """Refuse episodes that cannot be played here.
+
+        Raises:
+            EpisodeError: names the first of them.
+        """
+        admit_people(episodes, self._config, self._eyes)
+
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
             return self._everyone
@@ -616,7 +625,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         for value in many:
             if isinstance(value, Episode):
                 self._told.check(value)
-                numbers.append(int(self.simulator.store.add([value])[0]))
+                self._admit([value])
+                numbers.append(int(self.simulator.add_episodes([value])[0]))
                 continue
             index = known.get(value, -1) if isinstance(value, str) else int(value)
             if not 0 <= index < len(own):
@@ -652,6 +662,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 "pose": outputs["pose"],
                 "distance_to_goal": outputs["distance"],
                 "success": self._nobody,  # whoever succeeded is in the next episode already
+                **self.simulator.company.tell(),
             }
         )
 
@@ -668,6 +679,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             "pose": outputs["final_pose"],
             "distance_to_goal": outputs["final_distance"],
             "success": outputs["final_success"],
+            **self.simulator.company.tell("final_"),
         }
         return {
             "final_obs": ObservationsDevice(self._layout.hand_out(seen)),

@@ -17,7 +17,7 @@ from gn0.errors import ConfigError, SimError
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
-from gn0.missions.episode import AgentSpec
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import Renderer
@@ -47,6 +47,7 @@ from gn0.sim.simulator import goal_record, goal_view
 from gn0.sim.state import OBSERVED
 
 if TYPE_CHECKING:
+    from gn0.sim.device_people_eyes import PeopleEyesDevice
     from gn0.sim.device_state import SimulatorDevice
 
 _PIXELS = 256  # threads a block of kernels that have one a pixel
@@ -129,6 +130,7 @@ class EyesDevice:
         map_shape: (H, W) [px] that holds every map picture.
         visible_sets: draw colour and depth from the splats visible near each place.
         motion: what moves in the scenes.
+        people: shows people; None where there are none.
 
     Raises:
         SimError: no renderer for a sensor that needs one.
@@ -144,6 +146,7 @@ class EyesDevice:
         map_shape: tuple[int, int] | None,
         visible_sets: bool = False,
         motion: MotionDevice | None = None,
+        people: PeopleEyesDevice | None = None,
     ) -> None:
         carried = config.carried
         drawn = carried.eyes.union(s.name for s in carried.sensors if s.bev)
@@ -183,7 +186,7 @@ class EyesDevice:
         self._visible = visible_sets
         self._kept: dict[str, DeviceArray] = {}
         self._goal_numbers: NDArray[np.int32] | None = None  # whose goal pictures are kept
-        self._motion = motion
+        self._motion, self.people = motion, people
         if motion is not None and renderer is not None:
             for name, cloud in motion.clouds.items():
                 renderer.name_cloud(name, cloud)
@@ -191,6 +194,11 @@ class EyesDevice:
         self._pitch = float(np.radians(preset.pitch_degrees))
         self._rgb: DeviceArray | None = None  # what agents see now
         self._muted: frozenset[str] = frozenset()
+
+    @property
+    def roles_of(self) -> Callable[[Episode], NDArray[Any]] | None:
+        """Episode → what its people bring to their looks; None where nobody is drawn."""
+        return None if self.people is None else self.people.roles_of
 
     @property
     def shows_map(self) -> bool:
@@ -230,7 +238,8 @@ class EyesDevice:
         elif self.config.painted:
             cut = self.config.cut_height
             bev = paint_categories(scene.objects, scene.grid, cut, scene.path or scene.id)
-        return MapPictures(frame, self._paint(scene.grid, frame), bev)
+        light = None if self.people is None else self.people.light_of(look)
+        return MapPictures(frame, self._paint(scene.grid, frame), bev, light)
 
     def _paint(self, grid: OccupancyGrid, frame: MapFrame) -> U8 | None:
         if not self._carried.maps:
@@ -393,6 +402,8 @@ class EyesDevice:
     def _place_parts(self, simulator: SimulatorDevice, *, there: bool) -> Parts | PartsDevice:
         """What stands before each agent now, on the device if the views are `there`."""
         motion = self._motion
+        if self.people is not None:
+            return self.people.show(simulator)
         if motion is None or motion.now is None:
             return ()
         placing = PlaceParts(simulator.world, motion.tables, motion.targets)
@@ -637,6 +648,11 @@ def refuse_host_sensors(sensors: Iterable[Sensor]) -> None:
                 f"sensor {sensor.name!r} does not say how a device reads it",
                 remedy="use VectorEnv, or give the sensor a device=",
             )
+
+
+def draws_people(episodes: Iterable[Episode], sensors: Iterable[Sensor]) -> bool:
+    """Whether sensors have to draw people of these episodes."""
+    return any(s.draws or s.views for s in sensors) and any(e.people for e in episodes)
 
 
 def device_reader(sensor: Sensor, settings: SensorConfig) -> Callable[[AgentsDevice], DeviceArray]:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from gn0.device.device import DeviceArray, KernelSource
+from gn0.people.person import PEOPLE_MOST
+from gn0.people.reach import MODE, REALS, WHOLES
 from gn0.sim.ego_map import QUARTER, SAMPLES, SERIES, TINT
 from gn0.sim.history import COLUMNS, LENGTH
 from gn0.sim.sensor.goal_vector import VECTOR_LIMIT
@@ -20,13 +22,16 @@ EPISODE = np.dtype(
     [
         *((name, np.uint64) for name in (
             "compact", "labels", "roots", "headings", "directions", "grey", "bev",
+            "walls", "people", "lines", "points", "holds", "roles", "light_column", "light_places",
+            "light_gains",
         )),
         *((name, np.float64) for name in (
             "x", "y", "resolution", "start_x", "start_y", "goal_x", "goal_y",
-            "map_x", "map_y", "map_scale", "reach",
+            "map_x", "map_y", "map_scale", "reach", "keep_distance", "keep_lateral",
         )),
         *((name, np.int32) for name in (
             "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene", "look",
+            "stays", "persons", "followed", "light_cols", "light_rows", "light_count",
         )),  # whole words of 16 bytes
     ],
     align=True,
@@ -68,6 +73,56 @@ OUTPUT_FIELDS: tuple[tuple[str, Any, tuple[int, ...]], ...] = (
     ("final_turns", np.int32, ()),
     ("final_views", np.int32, ()),
 )
+# the same of people; those that end in `people` have a row of four numbers for each
+CROWD_FIELDS: tuple[tuple[str, Any], ...] = (
+    ("people", np.float64),
+    ("hit_person", np.int64),
+    ("hit_by", np.int64),
+    ("hit_tick", np.int64),
+)
+CROWD = np.dtype(
+    [
+        *((name, np.uint64) for name in ("real", "whole", "cut")),
+        *((prefix + name, np.uint64) for prefix in ("", "final_") for name, _ in CROWD_FIELDS),
+        *((name, np.float64) for name in (
+            "agent_radius", "person_radius", "tick_seconds", "tick_cos", "tick_sin",
+        )),
+        *((name, np.int32) for name in ("rate", "parts", "places", "ticks", "slides", "unused")),
+    ],
+    align=True,
+)  # fmt: skip
+
+# what a person brings to its looks; see `shown.cu`
+ROLE = np.dtype(
+    [
+        *((name, np.float64) for name in ("stride", "forward", "lasts")),
+        *((name, np.int32) for name in (
+            "number", "offset", "gait", "idle", "idle_rows", "clip", "clip_rows", "clip_loops",
+            "clip_rowed", "unused",
+        )),
+    ],
+    align=True,
+)  # fmt: skip
+
+# what is told of following, and of those that ended
+FOLLOW_FIELDS: tuple[tuple[str, Any], ...] = (
+    ("follows", np.bool_),
+    ("faced", np.bool_),
+    ("distance", np.float64),
+    ("end", np.int64),
+)
+FOLLOWING = np.dtype(
+    [
+        *((name, np.uint64) for name in ("far", "over_at", "gap")),
+        *((prefix + name, np.uint64) for prefix in ("", "final_") for name, _ in FOLLOW_FIELDS),
+        *((name, np.float64) for name in (
+            "reach", "aligned", "nearest", "lost_beyond", "linger", "touch_within", "same_time",
+            "step_seconds", "following", "touch",
+        )),
+        *((name, np.int32) for name in ("lost_after", "unused")),
+    ],
+    align=True,
+)  # fmt: skip
 OUTPUTS = np.dtype([(name, np.uint64) for name, _, _ in OUTPUT_FIELDS], align=True)
 
 SOURCE = KernelSource(
@@ -84,6 +139,23 @@ SOURCE = KernelSource(
         ("EGO_SAMPLES", SAMPLES),
         ("EGO_TINT", TINT),
         *((f"EGO_C{k}", value) for k, value in enumerate(SERIES)),
+    ),
+)
+PEOPLE = KernelSource(
+    "people",
+    tuple(
+        KERNELS / f"{part}.cu"
+        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow", "shown")
+    ),
+    (
+        *SOURCE.defines,
+        ("CROWD_BYTES", CROWD.itemsize),
+        ("FOLLOWING_BYTES", FOLLOWING.itemsize),
+        ("ROLE_BYTES", ROLE.itemsize),
+        ("PEOPLE_MOST", PEOPLE_MOST),
+        ("REALS", REALS),
+        ("WHOLES", WHOLES),
+        ("MODE", MODE),
     ),
 )
 

@@ -30,12 +30,14 @@ class PlansDevice:
 
     Raises:
         SimError: a pose on blocked ground, out of reach of its goal or not finite.
+        EpisodeError: an episode with people, who would be left out of it.
         DeviceMemoryError: the maps do not fit the device.
     """
 
     def __init__(self, env: VectorEnvDevice, numbers: NDArray[np.integer], poses: F64) -> None:
         self._simulator = env.simulator
         states = StatesDevice(env.simulator, None)
+        states.refuse_people(np.asarray(numbers, np.int64))
         kept = states.keep(np.asarray(numbers, np.int64), np.ascontiguousarray(poses, np.float64))
         self._slots: NDArray[np.int32] | None = kept.slots
         self._there, self._points = kept.there, kept.points

@@ -1,8 +1,8 @@
 """What the kernels of batched simulation are given, by name; see `gn0.device.records`.
 
-Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu`, `place.cu` and
-`expert.cu`; `w` is the struct `World` of `device_layout`, `out` the struct `Outputs` where it is
-no array.
+Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu`, `place.cu`, `expert.cu`,
+`crowd.cu`, `follow.cu` and `shown.cu`; `w`, `c`, `f` are the structs `World`, `Crowd`, `Following`
+of `device_layout`, `out` the struct `Outputs` where it is no array.
 """
 
 from __future__ import annotations
@@ -38,6 +38,111 @@ class PlaceAgents(NamedTuple):
     w: np.void
     slots: DeviceArray
     out: np.void
+
+
+class MovePeople(NamedTuple):
+    """`move_people`: everybody through the ticks of an action."""
+
+    w: np.void
+    c: np.void
+    codes: DeviceArray
+
+
+class StepAmong(NamedTuple):
+    """`step_people`: an action each, behind `move_people`."""
+
+    w: np.void
+    c: np.void
+    codes: DeviceArray
+    out: np.void
+
+
+class StepFollowing(NamedTuple):
+    """`step_following`: the same where somebody is followed."""
+
+    w: np.void
+    c: np.void
+    f: np.void
+    codes: DeviceArray
+    out: np.void
+
+
+class PlacePeople(NamedTuple):
+    """`place_people`: who begins which episode, with everybody in it."""
+
+    w: np.void
+    c: np.void
+    slots: DeviceArray
+    out: np.void
+
+
+class PlaceFollowing(NamedTuple):
+    """`place_following`: the same where somebody is followed."""
+
+    w: np.void
+    c: np.void
+    f: np.void
+    slots: DeviceArray
+    out: np.void
+
+
+class ShortenRanges(NamedTuple):
+    """`shorten_ranges`: rays end at people."""
+
+    w: np.void
+    c: np.void
+    slots: DeviceArray
+    poses: DeviceArray
+    turns: DeviceArray
+    people: DeviceArray
+    rays: np.int32
+    out: DeviceArray
+
+
+class SavePeople(NamedTuple):
+    """`save_people`: people around some agents, as rows."""
+
+    w: np.void
+    c: np.void
+    agents: DeviceArray
+    count_: np.int32
+    real: DeviceArray
+    whole: DeviceArray
+
+
+class RestorePeople(NamedTuple):
+    """`restore_people`: rows, as people around some agents."""
+
+    w: np.void
+    c: np.void
+    rows: DeviceArray
+    agents: DeviceArray
+    count_: np.int32
+    real: DeviceArray
+    whole: DeviceArray
+
+
+class WidenCrowd(NamedTuple):
+    """`widen_reals`, `widen_wholes`: columns of people, with room for more of them."""
+
+    in_: DeviceArray
+    columns: np.int32
+    from_: np.int32
+    to: np.int32
+    count_: np.int32
+    out: DeviceArray
+
+
+class ShowPeople(NamedTuple):
+    """`show_people`: who is seen how, where and in which light."""
+
+    w: np.void
+    c: np.void
+    from_: DeviceArray
+    levels: np.int32
+    codes: DeviceArray
+    poses: DeviceArray
+    gains: DeviceArray
 
 
 class ReadRanges(NamedTuple):

@@ -28,6 +28,7 @@ from gn0.sim.device_layout import (
     blocks_of,
     pack_struct,
 )
+from gn0.sim.device_people import CompanyDevice
 from gn0.sim.device_queue import EpisodeQueue
 from gn0.sim.device_records import (
     CopyBytes,
@@ -72,6 +73,8 @@ class SimulatorDevice:
         host_memory: bytes of fields kept on the host.
         ahead: draws held ready for each.
         pictures: look → static map pictures, when they are wanted.
+        company: what people around agents are to them.
+        roles: episode → what its people bring to their looks, when they are drawn.
 
     Attributes:
         outputs: what the last step or reset wrote, [N, …] by name; see `device_layout`.
@@ -97,6 +100,8 @@ class SimulatorDevice:
         host_memory: int,
         ahead: int,
         pictures: Callable[[str], MapPictures] | None = None,
+        company: type[CompanyDevice] = CompanyDevice,
+        roles: Callable[[Episode], NDArray[Any]] | None = None,
     ) -> None:
         if not 1 <= count <= AGENTS_MAX or max_steps < 1 or not 1 <= ahead <= 1024:
             raise SimError(
@@ -114,8 +119,10 @@ class SimulatorDevice:
             host_memory=host_memory,
             rays=rays,
             pictures=pictures,
+            roles=roles,
         )
-        self.numbers = self.store.add(episodes)
+        self.company = company(self)
+        self.numbers = self.add_episodes(episodes)
         self.queue = EpisodeQueue(count, ahead, self.numbers, self.store)
         self.state = {name: device.zeros((count, *shape), kind) for name, kind, shape in _STATE}
         self.views = device.zeros(count, np.int32) if config.carried.views else None
@@ -150,6 +157,11 @@ class SimulatorDevice:
         self._asked: tuple[int, Download] | None = None
         self._exact = -1  # steps after which the host knew all that had happened
         self._safe = 0  # steps after which the queues may be empty, as far as is known
+
+    def add_episodes(self, episodes: Sequence[Episode]) -> NDArray[np.int64]:
+        """Numbers [K] of episodes, with room for their people; nothing is loaded or checked yet."""
+        self.company.make_room(episodes, self.store.agent)
+        return self.store.add(episodes)
 
     @property
     def status(self) -> DeviceArray:
@@ -217,8 +229,11 @@ class SimulatorDevice:
         self._begin(orders)
 
     def _begin(self, orders: NDArray[np.int32]) -> None:
-        placing = PlaceAgents(self.world, self.device.upload(orders), self._plain)
-        self.launch("place_agents", self.count, placing)
+        slots = self.device.upload(orders)
+        if self.company:
+            self.company.place(slots, self._plain)
+        else:
+            self.launch("place_agents", self.count, PlaceAgents(self.world, slots, self._plain))
         self._sense()
 
     def limit_steps(self, most: int) -> None:
@@ -275,11 +290,15 @@ class SimulatorDevice:
         outputs = self._plain
         if into:
             outputs = pack_struct(OUTPUTS, **(self.outputs | dict(into)))
-        self.launch(self._stepper, self.count, StepAgents(self.world, codes, outputs))
+        if self.company:
+            self.company.step(codes, outputs)
+        else:
+            self.launch(self._stepper, self.count, StepAgents(self.world, codes, outputs))
         self.steps += 1
         if self.final_ranges is not None:
             slots, poses = self.outputs["final_slot"], self.outputs["final_pose"]
-            self._read_ranges(slots, poses, self.outputs["final_turns"], self.final_ranges)
+            turns = self.outputs["final_turns"]
+            self._read_ranges(slots, poses, turns, self.final_ranges, "final_")
         self._sense()
 
     def _sense(self) -> None:
@@ -289,7 +308,12 @@ class SimulatorDevice:
             )
 
     def _read_ranges(
-        self, slots: DeviceArray, poses: DeviceArray, turns: DeviceArray, out: DeviceArray
+        self,
+        slots: DeviceArray,
+        poses: DeviceArray,
+        turns: DeviceArray,
+        out: DeviceArray,
+        prefix: str = "",
     ) -> None:
         rays = self.config.range_rays
         reading = ReadRanges(
@@ -302,6 +326,8 @@ class SimulatorDevice:
             out=out,
         )
         self.launch("read_ranges", self.count * rays, reading)
+        if self.company:
+            self.company.shorten(slots, poses, turns, out, prefix)
 
     def prepare_step(self) -> None:
         """See to it that each agent has a next episode, whatever the coming step brings.

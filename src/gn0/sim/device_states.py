@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray
-from gn0.errors import SimError
+from gn0.errors import EpisodeError, SimError
 from gn0.geometry import F64, wrap_angle
 from gn0.seeds import random_stream
 from gn0.sim.device_layout import blocks_of
+from gn0.sim.device_people import KEPT as PEOPLE_ROWS
 from gn0.sim.device_queue import Draws
 from gn0.sim.device_records import (
     FindPlaces,
@@ -115,13 +116,18 @@ class AgentStates:
         """These and others of the same environment as one, row behind row.
 
         Raises:
-            SimError: they are of different environments.
+            SimError: they are of different environments, or people came in between.
         """
         if any(other.store is not self.store for other in others):
             raise SimError(
                 "these states are not of one environment", remedy="join those that it saved itself"
             )
         states = (self, *others)
+        if any(set(other.rows) != set(self.rows) for other in others):
+            raise SimError(
+                "some of these states were saved before there were people",
+                remedy="join states of people with each other",
+            )
         rows = {}
         for name, array in self.rows.items():
             shape = (sum(len(other) for other in states), *array.shape[1:])
@@ -161,6 +167,7 @@ class StatesDevice:
             EpisodeError: an episode does not fit its scene.
         """
         self._simulator.catch_up()
+        self.refuse_people(numbers)
         kept = self.keep(numbers, places.poses, agents)
         simulator, device, count = self._simulator, self._simulator.device, len(agents)
         slots, there, points = kept.slots, kept.there, kept.points
@@ -181,6 +188,22 @@ class StatesDevice:
             simulator.kernels["keep_tiles"].launch(blocks, _BYTES, keeping)
         simulator.tell_all()
 
+    def refuse_people(self, numbers: NDArray[np.int64]) -> None:
+        """Refuse episodes with people for what would leave open where those are.
+
+        Raises:
+            EpisodeError: names the first of `numbers` [K] that has people.
+        """
+        episodes = self._simulator.store.episodes
+        for number in np.unique(numbers).tolist():
+            if episodes[number].people:
+                raise EpisodeError(
+                    f"has {len(episodes[number].people)} people, and nobody knows where they are "
+                    "when its agent is put somewhere",
+                    where=f"episode {episodes[number].id!r}",
+                    remedy="begin it with reset(), or go back to it with restore_state()",
+                )
+
     def keep(
         self,
         numbers: NDArray[np.int64],
@@ -188,6 +211,8 @@ class StatesDevice:
         agents: NDArray[np.int64] | None = None,
     ) -> PlacesKept:
         """Places [K] of episodes, whose slots stay until they are released; waits for the device.
+
+        People of these episodes are not there: see `refuse_people`.
 
         Raises:
             SimError: as for `place`, naming row k where `agents` [K] are not given.
@@ -296,6 +321,7 @@ class StatesDevice:
         reaches = np.full(count, math.inf)
         reaches[random_stream(seed, "near the goal").random(count) < near[0]] = near[1]
         simulator.settle()
+        self.refuse_people(numbers)
         slots = simulator.store.pin(numbers)
         there, points = device.upload(slots), device.zeros((count, 2), np.float64)
         finding = FindPlaces(
@@ -327,6 +353,8 @@ class StatesDevice:
             shape = (len(agents), *array.shape[1:])
             rows[name] = simulator.device.empty(shape, array.dtype)
             _move(simulator.store, array, chosen, None, len(agents), rows[name])
+        if simulator.company:
+            rows |= simulator.company.save(chosen)
         return AgentStates(
             agents.copy(),
             simulator.store.numbers_at(slots),
@@ -377,6 +405,8 @@ class StatesDevice:
             _move(simulator.store, states.rows[name], chosen, to, len(agents), array)
         seats = simulator.device.upload(slots)
         _move(simulator.store, seats, None, to, len(agents), simulator.state["slot"])
+        if simulator.company and PEOPLE_ROWS[0] in states.rows:
+            simulator.company.restore(states.rows, chosen, to)
         simulator.queue.play(agents, slots)
         if draws:
             simulator.queue.restore(agents, [states.draws[k] for k in rows.tolist()])
@@ -389,6 +419,7 @@ class StatesDevice:
     def _state(self) -> dict[str, DeviceArray]:
         """The arrays [N, …] that an agent's state is in, beside its episode."""
         found = {name: self._simulator.state[name] for name in _ROWS}
+        found |= self._simulator.company.arrays
         if self._simulator.views is not None:
             found["views"] = self._simulator.views
         rings = self._rings()

@@ -23,12 +23,15 @@ from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.geometry import F64, U8
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
+from gn0.missions.follow_target import follow_target
+from gn0.missions.people import check_people_walls
 from gn0.scenes.scene import Scene
 from gn0.sim.collision import check_places
 from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
 from gn0.sim.device_pool import Block, PoolDevice, store_size
 from gn0.sim.device_records import StoreRows
+from gn0.sim.device_routes import LookLight, mark_walls, pack_routes
 from gn0.sim.ground import (
     Destination,
     EpisodeNumbers,
@@ -53,11 +56,13 @@ class MapPictures(NamedTuple):
         frame: where their pixels lie.
         grey: occupancy picture [H, W], or None.
         bev: [H, W, 3], or None.
+        light: on people, where they are drawn.
     """
 
     frame: MapFrame
     grey: U8 | None
     bev: U8 | None
+    light: LookLight | None = None
 
 
 @dataclass(eq=False)
@@ -72,6 +77,7 @@ class _Held:
     shape: tuple[int, int] = (0, 0)
     number: int = 0  # of a look
     sizes: tuple[int, int] = (0, 0)  # bytes of its pictures
+    light: tuple[int, int, int] = (0, 0, 0)  # cells of its probes, and how many there are
 
 
 class EpisodeStore:
@@ -89,6 +95,7 @@ class EpisodeStore:
         host_memory: bytes of maps and fields kept on the host, beside those on the device.
         rays: angles [R] rad of range rays relative to the yaw, if their directions are wanted.
         pictures: look → the static pictures, if they are wanted.
+        roles: episode → what its people bring to their looks, if they are drawn.
     """
 
     def __init__(
@@ -102,6 +109,7 @@ class EpisodeStore:
         host_memory: int = 0,
         rays: F64 | None = None,
         pictures: Callable[[str], MapPictures] | None = None,
+        roles: Callable[[Episode], NDArray[Any]] | None = None,
     ) -> None:
         self.device = device
         self.agent = agent
@@ -113,11 +121,12 @@ class EpisodeStore:
         self._host_memory = host_memory
         self.ground = GroundStore(scenes, agent.radius, memory=host_memory)
         self._scene_number = {name: k for k, name in enumerate(self.scene_ids)}
-        self._rays, self._pictures = rays, pictures
+        self._rays, self._pictures, self._roles = rays, pictures, roles
         self._numbers = EpisodeNumbers()
         self._checked: set[int] = set()
         self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
         self._scenes: dict[str, _Held] = {}
+        self._walls: dict[str, _Held] = {}  # by scene, where people are
         self._looks: dict[str, _Held] = {}
         self._look_names: list[str | None] = []  # by number; None: free
         self._in_play: list[str | None] | None = None  # forgotten when references change
@@ -308,7 +317,9 @@ class EpisodeStore:
         episode = self.episodes[number]
         if number not in self._checked:
             check_episode(episode)
-            check_places(self.ground.open(episode.scene_id), episode, self.agent.radius)
+            ground = self.ground.open(episode.scene_id)
+            check_places(ground, episode, self.agent.radius)
+            check_people_walls(episode.people, ground.grid, f"episode {episode.id!r}")
             self._checked.add(number)
         used: list[_Held] = []  # held while others are brought
         try:
@@ -328,13 +339,20 @@ class EpisodeStore:
                 look = self._looks.get(name) or self._bring_look(name)
                 look.users += 1
                 used.append(look)
-            own = self._build_headings(episode, base)
+            walls = None
+            if episode.people:
+                walls = self._walls.get(episode.scene_id) or self._bring_walls(episode.scene_id)
+                walls.users += 1
+                used.append(walls)
+            own = self._build_own(episode, base)
         except BaseException:
             for held in used:
                 held.users -= 1
             self._sweep()
             raise
         slot = self._seat(number, scene, field, own, look)
+        if walls is not None:
+            self._seat_people(slot, episode, walls, own)
         if base is None:
             self._slot_of[number] = slot
         else:
@@ -351,10 +369,11 @@ class EpisodeStore:
         slot = int(free[0])
         episode = self.episodes[number]
         row = self._rows[slot]
+        row["persons"], row["stays"] = 0, isinstance(episode.mission, MissionFollow)
         row["compact"], row["wide"] = scene.pointers[0], field.wide
         row["labels"], row["roots"] = field.pointers
         row["headings"] = own.pointers[0]
-        row["directions"] = own.pointers[1] if len(own.pointers) > 1 else 0
+        row["directions"] = own.pointers[1] if self._rays is not None else 0
         row["x"], row["y"], row["resolution"] = scene.frame
         row["rows"], row["cols"] = scene.shape
         row["start_x"], row["start_y"] = episode.start[:2]
@@ -362,13 +381,27 @@ class EpisodeStore:
         row["reach"] = episode.success_within(0.0)
         row["number"], row["scene"] = number, self._scene_number[episode.scene_id]
         if look is not None:
-            row["grey"], row["bev"] = look.pointers
+            row["grey"], row["bev"], *light = look.pointers
+            row["light_column"], row["light_places"], row["light_gains"] = light
+            row["light_cols"], row["light_rows"], row["light_count"] = look.light
             row["map_x"], row["map_y"], row["map_scale"] = look.frame
             row["map_rows"], row["map_cols"] = look.shape
             row["look"] = look.number
         self._own[slot] = own
         self._number_of[slot] = number
         return slot
+
+    def _seat_people(self, slot: int, episode: Episode, walls: _Held, own: _Held) -> None:
+        """Write where the people of an episode are found; their routes are the last of its own."""
+        row = self._rows[slot]
+        row["walls"], row["persons"] = walls.pointers[0], len(episode.people)
+        names = ("people", "lines", "points", "holds", "roles")
+        for name, pointer in zip(names, own.pointers[-5:], strict=True):
+            row[name] = pointer
+        if episode.followed is not None:
+            target = follow_target(episode)
+            row["followed"] = target.row
+            row["keep_distance"], row["keep_lateral"] = target.distance, target.lateral
 
     def _grow(self) -> None:
         size = len(self._rows)
@@ -439,6 +472,8 @@ class EpisodeStore:
         self.pool.give(self._own.pop(slot).block)
         self._fields[destination_of(episode)].users -= 1
         self._scenes[episode.scene_id].users -= 1
+        if episode.people:
+            self._walls[episode.scene_id].users -= 1
         if self._pictures is not None:
             self._looks[name_look(episode)].users -= 1
         self._sweep(episode)
@@ -459,6 +494,8 @@ class EpisodeStore:
         for scene_id in list(self._scenes) if episode is None else [episode.scene_id]:
             if not self._scenes[scene_id].users:
                 self.pool.give(self._scenes.pop(scene_id).block)
+            if scene_id in self._walls and not self._walls[scene_id].users:
+                self.pool.give(self._walls.pop(scene_id).block)
 
     def _bring_scene(self, scene_id: str) -> _Held:
         grid = self.ground.inflated(scene_id)
@@ -467,13 +504,20 @@ class EpisodeStore:
         self._scenes[scene_id] = held
         return held
 
+    def _bring_walls(self, scene_id: str) -> _Held:
+        held = self._walls[scene_id] = self._put(mark_walls(self.ground.open(scene_id).grid))
+        return held
+
     def _bring_look(self, name: str) -> _Held:
         assert self._pictures is not None
-        frame, grey, bev = self._pictures(name)
+        frame, grey, bev, light = self._pictures(name)
         shape = (frame.height, frame.width)
         empty = np.zeros(0, np.uint8)
         grey, bev = empty if grey is None else grey, empty if bev is None else bev
-        held = self._put(grey, bev)
+        column = np.zeros((0, 0), np.int32) if light is None else light.column
+        places, gains = (np.zeros(0),) * 2 if light is None else (light.places, light.gains)
+        held = self._put(grey, bev, column, places, gains)
+        held.light = (*column.shape, len(places))
         held.sizes = (grey.nbytes, bev.nbytes)
         held.frame = (frame.x_min, frame.y_min, frame.metres_per_pixel)
         held.shape = shape
@@ -490,18 +534,25 @@ class EpisodeStore:
         held.wide = field.labels.dtype == np.uint32
         return held
 
-    def _build_headings(self, episode: Episode, base: float | None) -> _Held:
-        """Headings after each number of turns, and the directions of range rays from each."""
+    def _build_own(self, episode: Episode, base: float | None) -> _Held:
+        """Headings after each number of turns, directions of range rays from each, routes."""
         if base is not None:
             episode = msgspec.structs.replace(episode, start=(*episode.start[:2], base))
         headings = list_headings(episode, self.agent)
+        routes: tuple[NDArray[Any], ...] = ()
+        if episode.people:
+            empty = np.zeros(0, np.uint8)
+            routes = (
+                *pack_routes(episode.people),
+                empty if self._roles is None else self._roles(episode),
+            )
         if self._rays is None:
-            return self._put(headings)
+            return self._put(headings, *routes)
         angles = (headings[:, :1] + self._rays).ravel().tolist()
         directions = np.empty((len(angles), 2))
         directions[:, 0] = list(map(math.cos, angles))
         directions[:, 1] = list(map(math.sin, angles))
-        return self._put(headings, directions)
+        return self._put(headings, directions, *routes)
 
     def _put(self, *arrays: NDArray[Any]) -> _Held:
         block = self._take(max(store_size(*arrays), 1))

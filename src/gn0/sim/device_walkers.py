@@ -58,7 +58,7 @@ class WalkersDevice:
 
     def begin(self, which: Numbers, episodes: Sequence[Episode]) -> None:
         """See `Walkers`."""
-        numbers = self._simulator.store.add(episodes)
+        numbers = self._simulator.add_episodes(episodes)
         if (self._numbers < 0).any():  # agents without an episode stand somewhere, too
             everyone = np.arange(self.count)
             self._place(everyone, numbers[everyone % len(numbers)])

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +40,7 @@ from numpy.typing import NDArray
 from gn0.errors import ConfigError, EpisodeError
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.people.person import PEOPLE_MOST
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space, read_action
 from gn0.sim.ego_map import MapView, read_map_view
@@ -71,9 +71,11 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
 
     Observations are a dict of the chosen sensors plus `collided`. `info` holds what a robot cannot
     know (pose, distance to goal, success): for logs, never for the agent. In episodes with people
-    it also holds `people` float64 [P, 4], x, y [m] and the cosine and sine of the heading of each,
-    and `hit_person`, None or the number of the person for whom the last move was cut, by whom
-    (`agent` or `person`), and at which tick.
+    it also holds `people` float64 [16, 4], x, y [m] and the cosine and sine of the heading of each,
+    `people_count` of them and zeros after that, `hit_person`, the number of the person for whom the
+    last move was cut (0: of nobody), `hit_by`, who came nearer (`agent`, `person` or ""), and
+    `hit_tick`, at which tick (0: at none). Gymnasium's vectors can stack them; the names are those
+    of `VectorEnv`, where nobody is NaN.
 
     Args:
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
@@ -337,10 +339,14 @@ def _tell_people(company: Company) -> dict[str, Any]:
     """Where people are, and whether one was run into; nothing where there is nobody."""
     if not company:
         return {}
-    hit = company.hit
+    hit, people = company.hit, np.zeros((PEOPLE_MOST, 4))
+    people[: len(company)] = np.hstack([company.places, company.faces])
     return {
-        "people": np.hstack([company.places, company.faces]),
-        "hit_person": None if hit is None else asdict(hit),
+        "people": people,
+        "people_count": len(company),
+        "hit_person": 0 if hit is None else hit.number,
+        "hit_by": "" if hit is None else hit.by,
+        "hit_tick": 0 if hit is None else hit.tick,
     }
 
 

@@ -26,12 +26,13 @@ import numpy as np
 from gn0.errors import SimError
 from gn0.geometry import F64
 from gn0.missions.episode import Episode
-from gn0.missions.follow_rules import FOLLOW
+from gn0.missions.follow_rules import FOLLOW, touched_person
+from gn0.missions.follow_target import follow_target
 from gn0.people.reach import ARRIVED, MODE
 from gn0.scenes.scene import Scene
 from gn0.sim.env import GoalNavEnv
 from gn0.sim.follow_episodes import follow_ways
-from gn0.sim.follow_tally import ENDS, FollowTally, SightTable, follow_target
+from gn0.sim.follow_tally import ENDS, FollowTally, SightTable
 from gn0.sim.tasks import load_tasks
 
 Scenes = Scene | Path | str | Sequence[Scene | Path | str] | None
@@ -118,7 +119,7 @@ class FollowNavEnv(GoalNavEnv):
         company, scene = self.simulator.company, self.simulator.scene
         number = self._sight.index(scene.id, scene.grid)
         pose, person = self._pose(), self._person()
-        hit = company.hit is not None and company.hit.by == "agent"
+        hit = touched_person(company.hit) is not None
         step = self._tally.step(
             pose,
             person,

@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import EpisodeError
 from gn0.geometry import F64
 from gn0.jit import njit
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.ray import trace_points
-from gn0.missions.episode import Episode, MissionFollow
-from gn0.missions.follow_rules import FOLLOW, PREFERRED, SAME_TIME, FollowRules
+from gn0.missions.follow_rules import FOLLOW, SAME_TIME, FollowRules
+from gn0.missions.follow_target import FollowTarget
 from gn0.people.crowd import Walls, build_walls
 from gn0.people.route import I64
 
@@ -30,31 +29,6 @@ ENDS = np.array(["", "touch", "lost", "steps", "over"], object)
 GOING, TOUCHED, LOST, STEPS, OVER = range(5)
 
 Flags = NDArray[np.bool_]
-
-
-class FollowTarget(NamedTuple):
-    """Whom an episode is to follow: its row among the people, and how [m]."""
-
-    row: int
-    distance: float
-    lateral: float
-
-
-def follow_target(episode: Episode) -> FollowTarget:
-    """Whom and how an episode is to follow.
-
-    Raises:
-        EpisodeError: it does not say.
-    """
-    mission, person = episode.mission, episode.followed
-    if person is None or not isinstance(mission, MissionFollow):
-        raise EpisodeError(
-            "it does not say whom to follow",
-            where=f"episode {episode.id!r}",
-            remedy="give follow missions, whose field person is a number among their people",
-        )
-    row = episode.people.index(person)
-    return FollowTarget(row, mission.distance or PREFERRED, mission.lateral)
 
 
 class FollowStep(NamedTuple):
@@ -123,13 +97,14 @@ class FollowTally:
             poses: [N, 3] of the agents.
             people: [N, 4], see `begin`.
             sight: [N], no wall stands between agent and person.
-            hit: [N], the agent ran into somebody.
+            hit: [N], the agent touched somebody, see `follow_rules.touched_person`.
             arrived: [N], the person's track is over.
         """
         rules = self._rules
         dx, dy = people[:, 0] - poses[:, 0], people[:, 1] - poses[:, 1]
         distance = np.sqrt(dx * dx + dy * dy)
-        ahead = dx * np.cos(poses[:, 2]) + dy * np.sin(poses[:, 2])
+        ahead = np.empty(len(poses))
+        _read_ahead(poses, dx, dy, ahead)
         faced = (ahead >= self._aligned * distance) & sight
         follows = faced & (distance <= rules.reach)
         self._steps += 1
@@ -140,7 +115,7 @@ class FollowTally:
         end = np.where(now >= self._over_at + rules.linger - SAME_TIME, OVER, GOING)
         end[self._steps >= self._most] = STEPS
         end[self._far > rules.lost_after] = LOST
-        touched = distance < rules.touch_within if rules.touch_within > 0 else hit
+        touched = rules.touches(distance, hit)
         end[touched] = TOUCHED
         gap = _measure_gap(poses, people, self._keep)
         rewards = FOLLOWING * follows + (self._gap - gap) + TOUCH * touched
@@ -153,6 +128,16 @@ class FollowTally:
             truncated=end == STEPS,
             success=((end == STEPS) & follows) | ((end == OVER) & kept),
         )
+
+
+@njit
+def _read_ahead(poses, dx, dy, out):  # type: ignore[no-untyped-def]
+    """How far ahead of agents [N, 3] others at (dx, dy) from them are [m], by `math`'s bits.
+
+    Those of the tables that a device has; NumPy's own sines may differ in the last one.
+    """
+    for k in range(len(out)):
+        out[k] = dx[k] * math.cos(poses[k, 2]) + dy[k] * math.sin(poses[k, 2])
 
 
 def _measure_gap(poses: F64, people: F64, keep: F64) -> F64:

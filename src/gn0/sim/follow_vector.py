@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.missions.episode import Episode
+from gn0.missions.follow_target import follow_target
 from gn0.people.reach import ARRIVED, HX, HY, MODE, X, Y
-from gn0.sim.batch_people_kernels import BY_AGENT, CAME, ROW
 from gn0.sim.follow_env import Scenes, choose_ways
-from gn0.sim.follow_tally import ENDS, FollowTally, SightTable, follow_target
+from gn0.sim.follow_tally import ENDS, FollowTally, SightTable
 from gn0.sim.vector import VectorEnv
 
 
@@ -74,7 +74,7 @@ class FollowVectorEnv(VectorEnv):
             poses,
             people,
             sight=self._sight.sees(self._scene, poses, people),
-            hit=(crowd.hit[:, ROW] > 0) & (crowd.hit[:, CAME] == BY_AGENT),
+            hit=self.batch.company.touched(),
             arrived=crowd.whole[self._everyone, self._row, MODE] == ARRIVED,
         )
         return step.rewards, step.terminated, step.truncated, step.success

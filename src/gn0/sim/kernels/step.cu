@@ -21,13 +21,15 @@ __device__ __forceinline__ i64 cell_index(double at, double origin, double resol
 }
 
 // Bresenham's line from (x, y) to the target; the move ends before the first blocked cell.
-__device__ __forceinline__ bool trace(const Episode &e, double &x, double &y, double x1, double y1) {
+template <class Blocked>
+__device__ __forceinline__ bool trace_over(const Episode &e, Blocked blocked, double &x, double &y,
+                                           double x1, double y1) {
   i64 col = cell_index(x, e.x, e.resolution), row = cell_index(y, e.y, e.resolution);
   i64 col1 = cell_index(x1, e.x, e.resolution), row1 = cell_index(y1, e.y, e.resolution);
   i64 across = col1 > col ? col1 - col : col - col1, down = row1 > row ? row1 - row : row - row1;
   i64 right = col1 > col ? 1 : -1, up = row1 > row ? 1 : -1;
   i64 error = across - down, steps = 0;
-  bool hit = is_blocked(e, row, col);
+  bool hit = blocked(e, row, col);
   if (hit) steps = -1;
   while (!hit && (row != row1 || col != col1)) {
     i64 twice = 2 * error, next_row = row, next_col = col;
@@ -39,9 +41,9 @@ __device__ __forceinline__ bool trace(const Episode &e, double &x, double &y, do
       error += across;
       next_row += up;
     }
-    hit = is_blocked(e, next_row, next_col);
+    hit = blocked(e, next_row, next_col);
     if (!hit && next_row != row && next_col != col)
-      hit = is_blocked(e, row, next_col) && is_blocked(e, next_row, col);
+      hit = blocked(e, row, next_col) && blocked(e, next_row, col);
     if (hit) break;
     row = next_row;
     col = next_col;
@@ -55,6 +57,16 @@ __device__ __forceinline__ bool trace(const Episode &e, double &x, double &y, do
     y = e.y + ((double)row + 0.5) * e.resolution;
   }
   return hit;
+}
+
+struct Blocked {
+  __device__ __forceinline__ bool operator()(const Episode &e, i64 row, i64 col) const {
+    return is_blocked(e, row, col);
+  }
+};
+
+__device__ __forceinline__ bool trace(const Episode &e, double &x, double &y, double x1, double y1) {
+  return trace_over(e, Blocked(), x, y, x1, y1);
 }
 
 #define PROJECTIONS 2      // the numbers of maps/slide.py
@@ -202,6 +214,71 @@ KERNEL(read_actions)(World w, const void *actions, int width, int step, u8 *code
   codes[i] = (u8)action;
 }
 
+// What an action of an agent led to.
+struct Acted {
+  double2 p;  // where it ended
+  int turns, steps;
+  double distance;  // m to the goal
+  double reward;
+  bool hit, terminated, truncated, success;
+};
+
+__device__ __forceinline__ int turn_by(const World &w, int turns, int action) {
+  if (action == LEFT) return (turns + 1) % w.circle;
+  if (action == RIGHT) return (turns + w.circle - 1) % w.circle;
+  return turns;
+}
+
+// A move ahead through the map of an episode, by the body's rule; whether it was cut.
+template <bool SLIDES>
+__device__ __forceinline__ bool go_ahead(const World &w, const Episode &e, int turns, double2 &p) {
+  const double *heading = e.headings + turns * 3;
+  double x1 = p.x + w.forward * heading[1], y1 = p.y + w.forward * heading[2];
+  return SLIDES ? slide(e, p.x, p.y, x1, y1) : trace(e, p.x, p.y, x1, y1);
+}
+
+// Goal navigation: what an action earned, and whether it was the last.
+__device__ __forceinline__ void judge(const World &w, const Episode &e, int action, double before,
+                                      Acted &a) {
+  a.terminated = action == STOP && !e.stays;
+  a.truncated = !a.terminated && a.steps >= w.max_steps;
+  a.success = a.terminated && is_there(e, w, a.distance);
+  a.reward = before - a.distance - w.step_cost;
+  if (a.success) a.reward += w.success_reward;
+}
+
+// Write what an action led to, and the last of an episode that ended.
+__device__ __forceinline__ void write_step(const World &w, const Episode &e, int i, int slot,
+                                           const Acted &a, const Outputs &out) {
+  bool ended = a.terminated || a.truncated;
+  out.rewards[i] = a.reward;
+  out.terminated[i] = a.terminated;
+  out.truncated[i] = a.truncated;
+  out.ended[i] = ended;
+  if (out.final_goal_vector)
+    out.final_goal_vector[i] = ended ? see_goal(e, a.p.x, a.p.y, a.turns) : make_float2(0.f, 0.f);
+  out.final_collided[i] = ended && a.hit;
+  out.final_pose[3 * i] = ended ? a.p.x : 0.0;
+  out.final_pose[3 * i + 1] = ended ? a.p.y : 0.0;
+  out.final_pose[3 * i + 2] = ended ? e.headings[a.turns * 3] : 0.0;
+  out.final_distance[i] = ended ? a.distance : 0.0;
+  out.final_success[i] = a.success;
+  out.final_episode[i] = ended ? e.number : -1;
+  out.final_slot[i] = ended ? slot : -1;
+  out.final_turns[i] = a.turns;
+  if (w.views) out.final_views[i] = ended ? w.views[i] + 1 : 0;
+}
+
+// An episode goes on where an action led to.
+__device__ __forceinline__ void stay_in(const World &w, int i, const Acted &a) {
+  w.position[i] = a.p;
+  w.turns[i] = a.turns;
+  w.steps[i] = a.steps;
+  w.collided[i] = a.hit;
+  w.distance[i] = a.distance;
+  if (w.views) w.views[i]++;
+}
+
 // One action each (0..3), rewards and ends, and the next episode for those that ended.
 template <bool SLIDES>
 __device__ __forceinline__ void step_agent(const World &w, const u8 *codes, const Outputs &out) {
@@ -209,51 +286,17 @@ __device__ __forceinline__ void step_agent(const World &w, const u8 *codes, cons
   if (i >= w.count || w.status[0] != CLEAR) return;
   int slot = w.slot[i], action = codes[i], turns = w.turns[i];
   const Episode &e = w.episodes[slot];
-  double2 p = w.position[i];
-  double before = w.distance[i], after = before;
-  bool hit = false;
+  double before = w.distance[i];
+  Acted a = {w.position[i], turn_by(w, turns, action), w.steps[i] + 1, before};
   if (action == FORWARD) {
-    const double *heading = e.headings + turns * 3;
-    double x1 = p.x + w.forward * heading[1], y1 = p.y + w.forward * heading[2];
-    hit = SLIDES ? slide(e, p.x, p.y, x1, y1) : trace(e, p.x, p.y, x1, y1);
-    after = measure(e, p.x, p.y);
-  } else if (action == LEFT) {
-    turns = (turns + 1) % w.circle;
-  } else if (action == RIGHT) {
-    turns = (turns + w.circle - 1) % w.circle;
+    a.hit = go_ahead<SLIDES>(w, e, turns, a.p);
+    a.distance = measure(e, a.p.x, a.p.y);
   }
-  int steps = w.steps[i] + 1;
-  bool terminated = action == STOP, truncated = !terminated && steps >= w.max_steps;
-  bool ended = terminated || truncated, success = terminated && is_there(e, w, after);
-  double reward = before - after - w.step_cost;
-  if (success) reward += w.success_reward;
-  out.rewards[i] = reward;
-  out.terminated[i] = terminated;
-  out.truncated[i] = truncated;
-  out.ended[i] = ended;
-  if (out.final_goal_vector)
-    out.final_goal_vector[i] = ended ? see_goal(e, p.x, p.y, turns) : make_float2(0.f, 0.f);
-  out.final_collided[i] = ended && hit;
-  out.final_pose[3 * i] = ended ? p.x : 0.0;
-  out.final_pose[3 * i + 1] = ended ? p.y : 0.0;
-  out.final_pose[3 * i + 2] = ended ? e.headings[turns * 3] : 0.0;
-  out.final_distance[i] = ended ? after : 0.0;
-  out.final_success[i] = success;
-  out.final_episode[i] = ended ? e.number : -1;
-  out.final_slot[i] = ended ? slot : -1;
-  out.final_turns[i] = turns;
-  if (w.views) out.final_views[i] = ended ? w.views[i] + 1 : 0;
-  int next = ended ? draw(w, i) : -1;
-  if (next >= 0) {
-    begin(w, i, next);
-  } else {
-    w.position[i] = p;
-    w.turns[i] = turns;
-    w.steps[i] = steps;
-    w.collided[i] = hit;
-    w.distance[i] = after;
-    if (w.views) w.views[i]++;
-  }
+  judge(w, e, action, before, a);
+  write_step(w, e, i, slot, a, out);
+  int next = a.terminated || a.truncated ? draw(w, i) : -1;
+  if (next >= 0) begin(w, i, next);
+  else stay_in(w, i, a);
   tell(w, i, out);
 }
 

@@ -15,12 +15,26 @@ struct Episode {
   const double *directions;  // [circle, rays, 2] cosine and sine of each range ray; or null
   const u8 *grey;            // [map_rows, map_cols] the occupancy picture; or null
   const u8 *bev;             // [map_rows, map_cols, 3]; or null
+  const u8 *walls;           // [rows, cols] WALL and WALL_NEAR; or null where there are no people
+  const int *people;         // [persons, 9] `Routes.table` and their numbers; or null
+  const double *lines;       // [persons, 4] of `Routes`
+  const double *points;      // [points, 7] of `Routes`
+  const double *holds;       // [stops, 4] of `Routes`
+  const void *roles;         // [persons] of `Role`; or null where nobody is drawn
+  const int *light_column;   // [light_cols, light_rows] probes of a cell; or null where nobody is drawn
+  const double *light_places;  // [light_count, 2] m
+  const double *light_gains;   // [light_count, 4, 3]
   double x, y, resolution;   // of the map: its origin [m], and of a cell [m]
   double start_x, start_y, goal_x, goal_y;
   double map_x, map_y, map_scale;  // of the map pictures: lower left corner [m], m a pixel
   double reach;              // m, its own success radius; 0: the world's
+  double keep_distance, keep_lateral;  // m, how to follow
   int rows, cols, map_rows, map_cols;
   int wide, number, scene, look;
+  int stays;                 // STOP stands still for one action
+  int persons;               // people in it
+  int followed;              // row of whom to follow
+  int light_cols, light_rows, light_count;
 };
 static_assert(sizeof(Episode) == EPISODE_BYTES, "device_layout.EPISODE differs from Episode");
 
@@ -72,3 +86,6 @@ __device__ __forceinline__ bool is_blocked(const Episode &e, i64 row, i64 col) {
   if (row < 0 || col < 0 || row >= e.rows || col >= e.cols) return true;
   return e.compact[row * e.cols + col] < 0;
 }
+
+#define WALL 1       // a cell of the raw map that is not free
+#define WALL_NEAR 2  // a cell where no person's centre may be

@@ -1,0 +1,180 @@
+"""The people around agents on a device as instances: a kernel says who is seen how, and from where.
+
+What `gn0.people.shown` says of each person goes into a code; a bank on the device knows the posed
+cloud of each code, and poses those that it lacks by one launch. Poses and light are written beside
+it, so that nothing of it passes through the host while nobody looks anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.avatars.bank import AvatarBank
+from gn0.avatars.detail import GRAIN, REACH_PX
+from gn0.avatars.light import find_probes
+from gn0.avatars.motion.library import LOOPS, speed_class
+from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
+from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
+from gn0.device.device import DeviceArray
+from gn0.errors import ConfigError
+from gn0.geometry import F32, F64
+from gn0.missions.episode import Episode
+from gn0.people.cast import Cast
+from gn0.people.person import EpisodePerson
+from gn0.people.shown import PoseShown, Shown
+from gn0.render.instance import PartsDevice
+from gn0.scenes.scene import Scene
+from gn0.seeds import derive_seed
+from gn0.sim.device_layout import ROLE, THREADS, blocks_of
+from gn0.sim.device_records import ShowPeople
+from gn0.sim.device_routes import LookLight
+from gn0.sim.open import split_look
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from gn0.sim.device_state import SimulatorDevice
+
+_NONE = 63  # no clip
+_BITS = (16, 2, 6, 12, 3, 3, 6, 7, 3)  # of a code, from its lowest; `shown.cu` has the same
+_OFFSETS = 97  # by how many ticks people's clips are apart
+
+
+class PeopleEyesDevice:
+    """Shows people to agents on a device.
+
+    Args:
+        scenes: scene id → how to get the scene.
+        renderer: draws, and holds posed clouds.
+        focal: of pictures [px], which decides levels of detail.
+        bank: of named people, its folder or itself.
+
+    Attributes:
+        posed: the posed clouds.
+
+    Raises:
+        ConfigError: this renderer holds no posed clouds.
+    """
+
+    def __init__(
+        self,
+        scenes: Mapping[str, Callable[[], Scene]],
+        renderer: Any,
+        focal: float,
+        bank: AvatarBank | Path | str | None = None,
+    ) -> None:
+        if not isinstance(renderer, HoldsParts) or not renderer.traits.device_views:  # type: ignore[attr-defined]
+            raise ConfigError(
+                "this renderer does not draw people on a device",
+                remedy="use renderer 'cuda', or VectorEnv",
+            )
+        self._scenes, self.cast = scenes, Cast(bank)
+        self.posed = PosedBankDevice(renderer)
+        self._roles: dict[tuple[str, float], int] = {}
+        self._clips = {"walk": 0}
+        self._from = [0.0] + [
+            GRAIN[level] * focal / REACH_PX[level] for level in range(1, len(GRAIN))
+        ]
+        self._levels: DeviceArray | None = None
+        self._shown: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None
+
+    def check(self, episode: Episode) -> None:
+        """Refuse people whom nobody can play.
+
+        Raises:
+            EpisodeError: names the person.
+        """
+        self.cast.check(episode.people, f"episode {episode.id!r}")
+
+    def light_of(self, look: str) -> LookLight:
+        """The light on people in a scene under a light."""
+        scene_id, condition = split_look(look)
+        scene = self._scenes[scene_id]()
+        probes = find_probes(scene.gaussians, scene.grid)
+        gains: F32 | F64 = probes.gains() if condition is None else probes.gains(condition)
+        return LookLight(
+            np.ascontiguousarray(probes.column, np.int32),
+            np.ascontiguousarray(probes.places, np.float64),
+            np.ascontiguousarray(gains, np.float64),
+        )
+
+    def roles_of(self, episode: Episode) -> NDArray[Any]:
+        """What each person of an episode brings to its looks: `ROLE` [P].
+
+        Raises:
+            EpisodeError, StorageError, FormatError: see `Cast.find`.
+        """
+        rows = np.zeros(len(episode.people), ROLE)
+        for row, person in zip(rows, episode.people, strict=True):
+            self._fill(row, person)
+        return rows
+
+    def _fill(self, row: Any, person: EpisodePerson) -> None:
+        actor = self.cast.find(person.identity)
+        library, seed = actor.library(person.seat), derive_seed(person.seed, "looks")
+        key = (person.identity, person.seat)
+        row["number"] = self._roles.setdefault(key, len(self._roles))
+        row["offset"], row["gait"] = seed % _OFFSETS, speed_class(person.speed)
+        idle = IDLES[seed % len(IDLES)]
+        row["idle"], row["idle_rows"] = self._number(idle), len(library.clip(idle).plan)
+        if person.behaviour == "script":
+            row["stride"] = library.clip("walk", person.speed).stride
+            return
+        sits = person.behaviour == "sit"
+        name = person.clip or ("sit" if sits else idle)
+        clip = library.clip(name)
+        assert clip.fps == FPS and not clip.stride
+        row["clip"], row["clip_rows"] = self._number(name), len(clip.plan)
+        row["clip_loops"], row["clip_rowed"] = name in LOOPS, name not in GESTURES
+        if sits:
+            row["forward"] = actor.behind(person.seat)
+        elif name not in IDLES:
+            row["lasts"] = clip.seconds
+
+    def _number(self, clip: str) -> int:
+        return self._clips.setdefault(clip, len(self._clips))
+
+    def show(self, simulator: SimulatorDevice) -> PartsDevice:
+        """Who stands before each agent now; waits for the device to say whether all were posed."""
+        company, device = simulator.company, simulator.device
+        each = company.places
+        count = simulator.count * each
+        if self._shown is None or len(self._shown[0]) != count:
+            self._shown = (
+                device.zeros(count, np.uint64),
+                device.zeros((count, 4, 4), np.float64),
+                device.zeros((count, 4, 3), np.float32),
+                device.zeros(count, np.int32),
+            )
+        if self._levels is None:
+            self._levels = device.upload(np.array(self._from))
+        codes, poses, gains, chosen = self._shown
+        showing = ShowPeople(
+            w=simulator.world,
+            c=company.crowd,
+            from_=self._levels,
+            levels=np.int32(len(self._from)),
+            codes=codes,
+            poses=poses,
+            gains=gains,
+        )
+        company.kernels["show_people"].launch(blocks_of(count), THREADS, showing)
+        self.posed.find(codes, chosen, self.read_code)
+        return PartsDevice(None, poses, chosen, each, gains)
+
+    def read_code(self, code: int) -> PoseShown:
+        """Who is shown how by a code."""
+        values, left = [], code - 1
+        for bits in _BITS:
+            values.append(left & ((1 << bits) - 1))
+            left >>= bits
+        role, level, clip, frame, gait, look, other, other_frame, quarter = values
+        identity, seat = list(self._roles)[role]
+        names = list(self._clips)
+        before = "" if other == _NONE else names[other]
+        shown = Shown(names[clip], frame, before, other_frame, quarter, gait, look, seat)
+        return PoseShown(self.cast.find(identity), shown, level)

@@ -1,0 +1,134 @@
+// Following a person: the rules of sim/follow_tally.py, operation by operation.
+
+#define GOING 0
+#define TOUCHED 1
+#define LOST 2
+#define STEPS 3
+#define OVER 4
+
+// What N episodes of following have come to, and the rules.
+struct Following {
+  int *far;         // [N] steps too far away since the last one that followed
+  double *over_at;  // [N] s, when the person had arrived
+  double *gap;      // [N] m to the reference place
+  u8 *follows, *faced;  // [N] the last step did so
+  double *distance;     // [N] m of the centres of agent and person
+  i64 *end;             // [N] what ended the episode
+  u8 *final_follows, *final_faced;  // the same of episodes that ended, 0 elsewhere
+  double *final_distance;
+  i64 *final_end;
+  double reach, aligned, nearest, lost_beyond, linger, touch_within, same_time, step_seconds;
+  double following, touch;  // what a step earns
+  int lost_after, unused;
+};
+static_assert(sizeof(Following) == FOLLOWING_BYTES, "device_layout.FOLLOWING differs from Following");
+
+struct Wall {
+  __device__ __forceinline__ bool operator()(const Episode &e, i64 row, i64 col) const {
+    if (row < 0 || col < 0 || row >= e.rows || col >= e.cols) return true;
+    return e.walls[row * e.cols + col] & WALL;
+  }
+};
+
+// How far an agent at (x, y) is from its reference place [m], for a person [4].
+__device__ __forceinline__ double measure_gap(const Episode &e, double x, double y,
+                                              const double *person) {
+  double rx = person[0] - e.keep_distance * person[2] + e.keep_lateral * person[3];
+  double ry = person[1] - e.keep_distance * person[3] - e.keep_lateral * person[2];
+  double dx = rx - x, dy = ry - y;
+  return sqrt(dx * dx + dy * dy);
+}
+
+__device__ __forceinline__ const double *person_of(const Crowd &c, const Episode &e, int i) {
+  return c.people + ((i64)i * c.places + e.followed) * 4;
+}
+
+__device__ __forceinline__ void begin_following(const Crowd &c, const Following &f,
+                                                const Episode &e, int i) {
+  const double *person = person_of(c, e, i);
+  double dx = person[0] - e.start_x, dy = person[1] - e.start_y;
+  f.far[i] = 0;
+  f.over_at[i] = (double)INFINITY;
+  f.gap[i] = measure_gap(e, e.start_x, e.start_y, person);
+  f.follows[i] = f.faced[i] = 0;
+  f.distance[i] = sqrt(dx * dx + dy * dy);
+  f.end[i] = GOING;
+}
+
+// `FollowTally.step`: what an action earned, and whether it was the last.
+__device__ __forceinline__ void judge_following(const World &w, const Crowd &c, const Following &f,
+                                                const Episode &e, int i, Acted &a) {
+  const double *person = person_of(c, e, i), *heading = e.headings + a.turns * 3;
+  double dx = person[0] - a.p.x, dy = person[1] - a.p.y;
+  double distance = sqrt(dx * dx + dy * dy);
+  double ahead = dx * heading[1] + dy * heading[2], x = a.p.x, y = a.p.y;
+  bool sight = !trace_over(e, Wall(), x, y, person[0], person[1]);
+  bool faced = ahead >= f.aligned * distance && sight, follows = faced && distance <= f.reach;
+  int far = follows ? 0 : f.far[i];
+  if (distance > f.lost_beyond) far++;
+  double now = a.steps * f.step_seconds, over_at = f.over_at[i];
+  bool arrived = c.whole[column_at(w, c, MODE, e.followed, i)] == ARRIVED;
+  if (arrived) over_at = least_of(over_at, now);
+  int end = now >= over_at + f.linger - f.same_time ? OVER : GOING;
+  if (a.steps >= w.max_steps) end = STEPS;
+  if (far > f.lost_after) end = LOST;
+  bool touched = f.touch_within > 0.0 ? distance < f.touch_within
+                                      : c.hit_person[i] > 0 && c.hit_by[i] == BY_AGENT;
+  if (touched) end = TOUCHED;
+  double gap = measure_gap(e, a.p.x, a.p.y, person);
+  a.reward = f.following * follows + (f.gap[i] - gap) + f.touch * touched;
+  a.terminated = end != GOING && end != STEPS;
+  a.truncated = end == STEPS;
+  bool kept = follows && distance >= f.nearest;
+  a.success = (end == STEPS && follows) || (end == OVER && kept);
+  f.far[i] = far;
+  f.over_at[i] = over_at;
+  f.gap[i] = gap;
+  f.follows[i] = follows;
+  f.faced[i] = faced;
+  f.distance[i] = distance;
+  f.end[i] = end;
+}
+
+__device__ __forceinline__ void keep_following(const Following &f, int i, bool ended) {
+  f.final_follows[i] = ended ? f.follows[i] : 0;
+  f.final_faced[i] = ended ? f.faced[i] : 0;
+  f.final_distance[i] = ended ? f.distance[i] : 0.0;
+  f.final_end[i] = ended ? f.end[i] : 0;
+}
+
+// `step_people` where somebody is followed; `move_people` comes before.
+KERNEL(step_following)(World w, Crowd c, Following f, const u8 *codes, Outputs out) {
+  int i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= w.count || w.status[0] != CLEAR) return;
+  int slot = w.slot[i];
+  const Episode &e = w.episodes[slot];
+  Acted a = act_among(w, c, e, i, codes[i]);
+  judge_following(w, c, f, e, i, a);
+  write_step(w, e, i, slot, a, out);
+  bool ended = a.terminated || a.truncated;
+  keep_people(c, i, ended);
+  keep_following(f, i, ended);
+  int next = ended ? draw(w, i) : -1;
+  if (next >= 0) {
+    begin(w, i, next);
+    begin_people(w, c, w.episodes[next], i);
+    begin_following(c, f, w.episodes[next], i);
+  } else {
+    stay_in(w, i, a);
+  }
+  tell(w, i, out);
+}
+
+// `place_people`, and those who follow have not begun to.
+KERNEL(place_following)(World w, Crowd c, Following f, const int *slots, Outputs out) {
+  int i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= w.count) return;
+  int slot = slots[i] == -2 ? draw(w, i) : slots[i];
+  if (slot >= 0) {
+    begin(w, i, slot);
+    begin_people(w, c, w.episodes[slot], i);
+    begin_following(c, f, w.episodes[slot], i);
+  }
+  tell(w, i, out);
+}

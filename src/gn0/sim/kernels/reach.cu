@@ -1,0 +1,276 @@
+// What a person of an episode is doing, and what is in its reach: gn0/people/reach.py, function by
+// function and operation by operation. Numbers are those of that file and of route.py.
+
+#define LANES 32  // environments a block: neighbours in memory, one to a lane
+
+#define BRAKE 0.7
+#define ACCELERATION 0.8
+#define COMFORT 0.10
+#define SAFE_GAP 1e-3
+#define SIGHT 2.5
+#define SAMPLE 0.25
+#define ALIGNED 0.9
+#define SIDEWAYS 0.5
+#define ROUND_SPEED 0.6
+#define ROUND_SECONDS 4
+#define NO_WAY_SECONDS 0.5
+#define PRESS_SECONDS 1
+#define BACK_SECONDS 5
+#define FIRM 1099511627776
+#define ENOUGH 0.4
+#define LEAVE 0.5
+#define STEADY 0.15
+#define RIVAL 0.45
+#define ROOM 0.06
+#define SQUEEZE 0.01
+#define FEW_TURNS 9
+#define HOME 0.3
+#define SHUFFLE 0.1
+#define CLOSE 1e-4
+#define MOVED 0.05
+#define LONG_AGO 1000
+
+#define ON_PATH 0
+#define ROUND 1
+#define ARRIVED 2
+#define STILL 0
+#define WALK 1
+#define NOBODY (-2)
+#define AGENT (-1)
+#define SCRIPT 0
+#define BACK 1
+#define LOOP 2
+
+// The columns of a person as reach.py numbers them, by name and type.
+#define REAL_COLUMNS(f)                                                                        \
+  f(0, x, double) f(1, y, double) f(2, x0, double) f(3, y0, double) f(4, hx, double)           \
+  f(5, hy, double) f(6, speed, double) f(7, way, double) f(8, walked, double)                  \
+  f(9, hold_left, double)
+#define WHOLE_COLUMNS(f)                                                                       \
+  f(0, mode, int) f(1, piece, int) f(2, direction, int) f(3, hold, int) f(4, wait, int)        \
+  f(5, side, int) f(6, round_ticks, int) f(7, back_left, int) f(8, clip, int)                  \
+  f(9, clip_since, int) f(10, blocked_by, int) f(11, turned, int) f(12, aside_left, int)       \
+  f(13, pressed, int) f(14, claim, i64) f(15, claim0, i64) f(16, lent_left, int)
+
+struct Person {
+#define HOLD_COLUMN(k, name, type) type name;
+  REAL_COLUMNS(HOLD_COLUMN)
+  WHOLE_COLUMNS(HOLD_COLUMN)
+};
+#define COUNT_COLUMN(k, name, type) +1
+static_assert(0 REAL_COLUMNS(COUNT_COLUMN) == REALS, "reach.py has other real columns");
+static_assert(0 WHOLE_COLUMNS(COUNT_COLUMN) == WHOLES, "reach.py has other whole columns");
+
+// A route: its own rows of `Routes`.
+struct Route {
+  const double *points;  // [N, 7]
+  const double *holds;   // [K, 4]
+  double speed, length;
+  int last;   // piece
+  int stops;  // K
+  int after, behaviour, patience, right;
+};
+
+// How long a tick is.
+struct Pace {
+  double seconds, cos, sin;
+  int rate, parts;
+};
+
+// Who is around one person, by last tick's places and claims; person j is at j * LANES.
+struct Around {
+  const double *x0, *y0;
+  const i64 *claims;  // ~claim of who stands or sits
+  double agent_x, agent_y;
+  double agent_radius, radius;  // m, of the agent and of people
+  int count, p;                 // people, and who is looking
+};
+
+// As Numba has them: which zero is kept shows in the bits.
+__device__ __forceinline__ double least_of(double a, double b) { return b < a ? b : a; }
+__device__ __forceinline__ double most_of(double a, double b) { return b > a ? b : a; }
+
+__device__ __forceinline__ const double *point_of(const Route &r, int k) { return r.points + 7 * k; }
+
+// Where somebody is, seen from (x, y), and the sum of radii; -1 is the agent.
+__device__ __forceinline__ void see(const Around &a, int j, double x, double y, double &dx,
+                                    double &dy, double &reach) {
+  if (j < 0) {
+    dx = a.agent_x - x;
+    dy = a.agent_y - y;
+    reach = a.radius + a.agent_radius;
+  } else {
+    dx = a.x0[j * LANES] - x;
+    dy = a.y0[j * LANES] - y;
+    reach = 2.0 * a.radius;
+  }
+}
+
+// Turn towards a unit vector, by as much as a body may; the cosine that is left.
+__device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx, double ty,
+                                          double seconds) {
+  double hx = q.hx, hy = q.hy;
+  if (hx == tx && hy == ty) return 1.0;
+  double cosine = hx * tx + hy * ty;
+  double cos = pace.cos, sin = pace.sin;
+  if (seconds < pace.seconds) {  // so much of the arc of a tick, along its chord
+    double share = seconds / pace.seconds;
+    cos = 1.0 - share + share * cos;
+    sin = share * sin;
+    double size = sqrt(cos * cos + sin * sin);
+    cos = cos / size;
+    sin = sin / size;
+  }
+  if (cosine >= cos) {
+    q.hx = tx;
+    q.hy = ty;
+    return 1.0;
+  }
+  if (hx * ty - hy * tx < 0.0) sin = -sin;
+  double nx = hx * cos - hy * sin, ny = hx * sin + hy * cos;
+  double size = sqrt(nx * nx + ny * ny);
+  nx = nx / size;
+  ny = ny / size;
+  q.hx = nx;
+  q.hy = ny;
+  return nx * tx + ny * ty;
+}
+
+// Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m].
+__device__ __forceinline__ double cap_speed(double v, double after, double room, double dt) {
+  double half = 0.5 * BRAKE * dt;
+  double inside = half * half + after * after + 2.0 * BRAKE * room - BRAKE * dt * v;
+  return inside > 0.0 ? most_of(sqrt(inside) - half, 0.0) : 0.0;
+}
+
+// Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least.
+__device__ __forceinline__ double share_allowed(const Person &q, const Around &a, double nx,
+                                                double ny, int &who) {
+  double x = q.x0, y = q.y0, sx = nx - x, sy = ny - y, share = 1.0;
+  who = NOBODY;
+#pragma unroll 1
+  for (int j = -1; j < a.count; j++) {
+    if (j == a.p) continue;
+    double dx, dy, reach;
+    see(a, j, x, y, dx, dy, reach);
+    double square = dx * dx + dy * dy, near = reach + 0.5;
+    if (square > near * near) continue;
+    double along = sx * dx + sy * dy;
+    if (along <= 0.0) continue;
+    double apart = sqrt(square);
+    if (apart <= 0.0) {
+      who = j;
+      return 0.0;
+    }
+    double gap = apart - reach - SAFE_GAP;
+    along = along / apart;
+    double half = 0.5 * gap;
+    if (along > half) {
+      double part = half > 0.0 ? half / along : 0.0;
+      if (part < share) {
+        share = part;
+        who = j;
+      }
+    }
+  }
+  return share;
+}
+
+// Whether anybody's middle is nearer than `reach` [m].
+__device__ __forceinline__ bool is_crowded(const Person &q, const Around &a, double reach) {
+#pragma unroll 1
+  for (int j = -1; j < a.count; j++) {
+    if (j == a.p) continue;
+    double dx, dy, unused;
+    see(a, j, q.x0, q.y0, dx, dy, unused);
+    if (dx * dx + dy * dy < reach * reach) return true;
+  }
+  return false;
+}
+
+// The piece of a path that a way is on.
+__device__ __forceinline__ int piece_at(const Route &r, double way, int piece) {
+  int k = piece;
+  while (k < r.last && way >= point_of(r, k + 1)[4]) k++;
+  while (k > 0 && way < point_of(r, k)[4]) k--;
+  return k;
+}
+
+// A place on a path.
+struct Spot {
+  double x, y, tx, ty;
+  int piece;
+};
+
+// (x, y) of a way along a path, the piece that it is on, and its tangent.
+__device__ __forceinline__ Spot place_at(const Route &r, double way, int piece) {
+  int k = piece_at(r, way, piece);
+  const double *point = point_of(r, k);
+  double left = way - point[4], tx = point[2], ty = point[3];
+  Spot found = {point[0] + tx * left, point[1] + ty * left, tx, ty, k};
+  return found;
+}
+
+// Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is.
+__device__ __forceinline__ double room_ahead(const Around &a, const Route &r, double way,
+                                             int piece, int sign, double reach, int &who) {
+  double gone = 0.0;
+  who = NOBODY;
+  while (gone < reach) {
+    double at = way + sign * gone;
+    if (at > r.length) {
+      if (r.after != LOOP) break;
+      at -= r.length;
+      piece = 0;
+    } else if (at < 0.0) {
+      if (r.after != LOOP) break;
+      at += r.length;
+      piece = r.last;
+    }
+    Spot s = place_at(r, at, piece);
+    piece = s.piece;
+    double tx = sign * s.tx, ty = sign * s.ty, best = reach;
+#pragma unroll 1
+    for (int j = -1; j < a.count; j++) {
+      if (j == a.p) continue;
+      double dx, dy, near;
+      see(a, j, s.x, s.y, dx, dy, near);
+      near = near + 0.02;
+      double along = dx * tx + dy * ty, aside = dx * ty - dy * tx;
+      double under = near * near - aside * aside;
+      if (along <= 0.0 || under <= 0.0) continue;
+      double room = along - sqrt(under);
+      if (room < SAMPLE) {  // of this sample's own; what is farther, later ones find
+        double found = gone + most_of(room, 0.0);
+        if (found < best) {
+          best = found;
+          who = j;
+        }
+      }
+    }
+    if (who != NOBODY) return best;
+    gone += SAMPLE;
+  }
+  return reach;
+}
+
+// Whether a person's centre may be there, as far as walls go.
+__device__ __forceinline__ bool is_free(const Episode &e, double x, double y) {
+  i64 col = (i64)floor((x - e.x) / e.resolution), row = (i64)floor((y - e.y) / e.resolution);
+  if (row < 0 || col < 0 || row >= e.rows || col >= e.cols) return false;
+  return !(e.walls[row * e.cols + col] & WALL_NEAR);
+}
+
+// Least gap [m] to anybody from a place.
+__device__ __forceinline__ double gap_at(const Around &a, double x, double y) {
+  double least = SIGHT;
+#pragma unroll 1
+  for (int j = -1; j < a.count; j++) {
+    if (j == a.p) continue;
+    double dx, dy, near;
+    see(a, j, x, y, dx, dy, near);
+    double square = dx * dx + dy * dy;
+    if (square < (least + near) * (least + near)) least = sqrt(square) - near;
+  }
+  return least;
+}

@@ -1,0 +1,184 @@
+// How people look: people/shown.py of all that stand around agents, as codes of posed clouds, poses
+// and gains of instances. Only a head's yaw (`atan2`) may differ from the host in its last bit.
+
+// What a person of an episode brings to its looks; the layout of device_layout.ROLE.
+struct Role {
+  double stride;   // m, of its walk
+  double forward;  // m, of who sits
+  double lasts;    // s, of its gesture; 0 without
+  int number;      // of who it is
+  int offset;      // ticks by which its time is ahead
+  int gait;        // class of the walk
+  int idle, idle_rows;
+  int clip, clip_rows, clip_loops;  // of who stands or sits
+  int clip_rowed;  // a frame of the clip is a row of it; not of a gesture
+  int unused;
+};
+static_assert(sizeof(Role) == ROLE_BYTES, "device_layout.ROLE differs from Role");
+
+#define CLIP_WALK 0   // number of the clip `walk`
+#define CLIP_NONE 63
+#define STRAIGHT 2    // class of a look ahead
+#define PHASES 64
+#define FPS 30.0
+#define CLIP_STEP 12
+#define BLEND 4
+#define PAUSE 5.0
+#define NEAR_EYE 2.5
+#define SIDE_EYE 1.3
+#define BEHIND 1.0
+#define PROBE_CELL 0.5  // m, of the grid of probes
+
+__device__ __forceinline__ int frame_at(double seconds) {
+  return (int)(seconds * FPS) / CLIP_STEP * CLIP_STEP;
+}
+
+__device__ __forceinline__ int row_of(int frame, int rows, bool loops) {
+  return loops ? frame % rows : min(frame, rows - 1);
+}
+
+// Number of the class of looks nearest to a yaw [rad].
+__device__ __forceinline__ int look_class(double yaw) {
+  double degrees = yaw * (180.0 / 3.141592653589793), best = 1e9;
+  int found = 0;
+  for (int k = 0; k < 5; k++) {
+    double away = fabs(degrees - (-60.0 + 30.0 * k));
+    if (away < best) {
+      best = away;
+      found = k;
+    }
+  }
+  return found;
+}
+
+// Whether no wall is between two places: `LightProbes._sees`.
+__device__ bool sees_probe(const Episode &e, double x, double y, double u, double v) {
+  int steps = (int)(fmax(fabs(u - x), fabs(v - y)) / e.resolution) + 1;
+  double part = 1.0 / (double)steps;
+  for (int k = 1; k <= steps; k++) {
+    double t = k < steps ? k * part : 1.0;
+    i64 col = (i64)floor((x + t * (u - x) - e.x) / e.resolution);
+    i64 row = (i64)floor((y + t * (v - y) - e.y) / e.resolution);
+    row = row < 0 ? 0 : row >= e.rows ? e.rows - 1 : row;
+    col = col < 0 ? 0 : col >= e.cols ? e.cols - 1 : col;
+    if (e.walls[row * e.cols + col] & WALL) return false;
+  }
+  return true;
+}
+
+// Colour gain [4, 3] of who stands at (x, y): `LightProbes.gain_at`.
+__device__ void find_gain(const Episode &e, double x, double y, float *gain) {
+  double u = (x - e.x) / PROBE_CELL - 0.5, v = (y - e.y) / PROBE_CELL - 0.5;
+  int a = (int)floor(u), b = (int)floor(v), found = 0, columns[4];
+  double shares[4], total = 0.0;
+  for (int k = 0; k < 4; k++) {
+    int i = a + (k & 1), j = b + (k >> 1);
+    if (i < 0 || j < 0 || i >= e.light_cols || j >= e.light_rows) continue;
+    int number = e.light_column[(i64)i * e.light_rows + j];
+    double share = (1.0 - fabs(u - i)) * (1.0 - fabs(v - j));
+    if (number < 0 || share <= 1e-6) continue;
+    const double *place = e.light_places + 2 * number;
+    if (!sees_probe(e, x, y, place[0], place[1])) continue;
+    columns[found] = number;
+    shares[found++] = share;
+    total += share;
+  }
+  if (!found) {
+    double best = (double)INFINITY;
+    for (int k = 0; k < e.light_count; k++) {
+      double dx = e.light_places[2 * k] - x, dy = e.light_places[2 * k + 1] - y;
+      double square = dx * dx + dy * dy;
+      if (square < best) {
+        best = square;
+        columns[0] = k;
+      }
+    }
+    shares[0] = total = 1.0;
+    found = 1;
+  }
+  for (int k = 0; k < 12; k++) {
+    double sum = 0.0;
+    for (int j = 0; j < found; j++) sum += shares[j] / total * e.light_gains[(i64)columns[j] * 12 + k];
+    gain[k] = (float)sum;
+  }
+}
+
+// Codes [N, places] of what is seen, 0 for nobody; poses [N, places, 4, 4] m; gains [N, places, 4, 3].
+// `from` [levels] are the distances [m] from which each level of detail is taken.
+KERNEL(show_people)(World w, Crowd c, const double *from, int levels, u64 *codes, double *poses,
+                    float *gains) {
+  i64 k = (i64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= (i64)w.count * c.places) return;
+  int i = (int)(k / c.places), p = (int)(k % c.places);
+  const Episode &e = w.episodes[w.slot[i]];
+  codes[k] = 0;
+  if (p >= e.persons) return;
+  Person q = load_person(w, c, p, i);
+  const double *ahead = e.headings + w.turns[i] * 3;
+  double2 eye = w.position[i];
+  double dx = eye.x - q.x, dy = eye.y - q.y, square = dx * dx + dy * dy;
+  if ((q.x - eye.x) * ahead[1] + (q.y - eye.y) * ahead[2] < -BEHIND) return;
+  const Role &role = ((const Role *)e.roles)[p];
+  Route r = route_of(e, p);
+  int clip = CLIP_NONE, frame = 0, other = CLIP_NONE, other_frame = 0, quarter = BLEND;
+  double forward = 0.0;
+  if (r.behaviour != SCRIPT) {
+    double seconds = 0.1 * q.clip_since + 0.1 * role.offset;
+    clip = role.clip;
+    if (role.lasts > 0.0) {  // an idle, or a gesture now and then
+      double at = fmod(seconds, role.lasts + PAUSE);
+      if (at < role.lasts) {
+        frame = (int)(at * FPS) / 3 * 3;
+        if (role.clip_rowed) frame = row_of(frame, role.clip_rows, role.clip_loops);
+      } else {
+        clip = role.idle;
+        frame = row_of(frame_at(at - role.lasts), role.idle_rows, true);
+      }
+    } else {
+      frame = row_of(frame_at(seconds), role.clip_rows, role.clip_loops);
+    }
+    forward = role.forward;
+  } else {
+    double cycles = q.walked / role.stride;
+    int phase = (int)rint(cycles * PHASES);
+    if (q.clip == WALK) {
+      clip = CLIP_WALK;
+      frame = phase % PHASES;
+      other = role.idle;
+    } else {
+      clip = role.idle;
+      other = CLIP_WALK;
+      other_frame = phase % PHASES;
+      frame = row_of(frame_at(0.1 * max(q.clip_since - BLEND, 0)), role.idle_rows, true);
+    }
+    if (q.clip_since < BLEND - 1) {
+      quarter = q.clip_since + 1;
+    } else {
+      other = CLIP_NONE;
+      other_frame = 0;
+    }
+    forward = ((double)phase / PHASES - cycles) * role.stride;
+  }
+  int look = STRAIGHT;
+  double yaw = atan2(q.hx * dy - q.hy * dx, q.hx * dx + q.hy * dy);
+  if (square < NEAR_EYE * NEAR_EYE && fabs(yaw) < SIDE_EYE) look = look_class(yaw);
+  double away = sqrt(square);
+  int level = 0;
+  for (int n = 1; n < levels; n++)
+    if (away >= from[n]) level = n;
+  u64 code = (u64)role.number;
+  code |= (u64)level << 16;
+  code |= (u64)clip << 18;
+  code |= (u64)frame << 24;
+  code |= (u64)role.gait << 36;
+  code |= (u64)look << 39;
+  code |= (u64)other << 42;
+  code |= (u64)other_frame << 48;
+  code |= (u64)quarter << 55;
+  codes[k] = code + 1;
+  double *pose = poses + 16 * k;
+  double rows[16] = {q.hx, -q.hy, 0.0, q.x + q.hx * forward, q.hy, q.hx, 0.0, q.y + q.hy * forward,
+                     0.0,  0.0,   1.0, 0.0,                  0.0,  0.0,  0.0, 1.0};
+  for (int n = 0; n < 16; n++) pose[n] = rows[n];
+  find_gain(e, q.x, q.y, gains + 12 * k);
+}

@@ -1,0 +1,150 @@
+"""People in pictures of agents on a device: what VectorEnv draws by the same renderer."""
+
+from __future__ import annotations
+
+import shutil
+
+import msgspec
+import numpy as np
+import pytest
+
+from gn0.avatars import AvatarBank, generate_bank
+from gn0.avatars.detail import choose_level
+from gn0.device.host import DeviceHost
+from gn0.errors import ConfigError, EpisodeError
+from gn0.missions.episode import AgentSpec, Episode, MissionGoal
+from gn0.people.cast import Cast
+from gn0.people.person import EpisodePerson
+from gn0.people.shown import show_person
+from gn0.render import Camera
+from gn0.render.cuda.batch import RendererBatch
+from gn0.scenes import build_example_scene
+from gn0.sim import presets
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.presets import find_preset
+from gn0.sim.vector import VectorEnv
+
+pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+FLAT = build_example_scene()
+BODY = AgentSpec(radius=0.25, step_seconds=0.2)
+EYE = Camera.from_vfov(48, 36, 70.0)
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory) -> AvatarBank:
+    folder = tmp_path_factory.mktemp("bank")
+    generate_bank(folder, count=1, seed=1, density=0.05)
+    return AvatarBank(folder)
+
+
+@pytest.fixture(scope="module")
+def episodes(bank) -> list[Episode]:
+    """Who walks to and fro, stands, waves and sits, before agents that look their way; nobody."""
+    (name, *_) = sorted(bank.names)
+    goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
+
+    def somebody(number, *path, **more) -> EpisodePerson:
+        return EpisodePerson(number=number, identity=name, path=path, seed=number, **more)
+
+    walker = somebody(7, (3.2, 2.2), (3.2, 2.9), after="back", speed=0.8)
+    idle = somebody(2, (4.2, 2.4), behaviour="stand", yaw=1.0)
+    waver = somebody(3, (3.4, 3.7), behaviour="stand", clip="wave", yaw=-2.0)
+    sitter = somebody(4, (4.4, 3.0), behaviour="sit", yaw=3.0, seat=0.5)
+    groups = (("all", (walker, idle, waver, sitter)), ("one", (walker,)), ("none", ()))
+    return [
+        Episode(
+            id=title, scene_id=FLAT.id, mission=goal, start=(2.0, 2.5, 0.1 * k),
+            path=((2.0, 2.5), goal.goal), people=people,
+        )
+        for k, (title, people) in enumerate(groups)
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def preset(monkeypatch) -> str:
+    small = msgspec.structs.replace(find_preset("gn_bench"), agent=BODY, rgb=EYE, depth=EYE)
+    monkeypatch.setitem(presets._BY_NAME, "small", small)
+    return "small"
+
+
+def open_device_env(episodes, bank, preset, count=3, sensors=("rgb", "depth"), **more):
+    device = DeviceHost(1)
+    return VectorEnvDevice(
+        count, FLAT, episodes=episodes, device=device, renderer=RendererBatch(device),
+        sensors=sensors, preset=preset, agent=BODY, bank=bank, **more,
+    )  # fmt: skip
+
+
+def test_codes_say_what_the_host_shows(episodes, bank, preset) -> None:
+    """Clip, frame, blend, look and level of each, and where it stands, over 24 steps."""
+    env, cast = open_device_env(episodes, bank, preset), Cast(bank)
+    names = [e.id for e in episodes]
+    env.reset(seed=0, options={"episode": names})
+    eyes, clips = env._eyes.people, set()
+    for row in np.random.default_rng(0).choice([1, 2, 3], (24, 3)):
+        _, _, _, _, infos = env.step(row)
+        real, whole = (env.simulator.company.read_state(n) for n in ("real", "whole"))
+        codes = eyes._shown[0].numpy().reshape(3, -1)
+        poses = eyes._shown[1].numpy().reshape(3, -1, 4, 4)
+        for i, episode in enumerate(episodes):
+            x, y, yaw = infos["pose"].numpy()[i]
+            assert not codes[i, len(episode.people) :].any()
+            for p, person in enumerate(episode.people):
+                away = real[i, p, :2] - (x, y)
+                seen = away @ (np.cos(yaw), np.sin(yaw)) >= -1.0
+                assert bool(codes[i, p]) == seen
+                if not seen:
+                    continue
+                want, pose = show_person(
+                    person, cast.find(person.identity), real[i, p], whole[i, p], (x, y)
+                )
+                found = eyes.read_code(int(codes[i, p]))
+                assert found.shown == want
+                assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
+                np.testing.assert_array_equal(poses[i, p], pose)
+                clips.add(want.clip)
+    assert {"walk", "wave", "sit"} < clips
+
+
+def test_light_is_that_of_the_scene_s_probes(episodes, bank, preset) -> None:
+    env = open_device_env(episodes, bank, preset)
+    env.reset(seed=0, options={"episode": [e.id for e in episodes]})
+    from gn0.avatars.light import find_probes
+
+    probes = find_probes(FLAT.gaussians, FLAT.grid)
+    gains = env._eyes.people._shown[2].numpy().reshape(3, -1, 4, 3)
+    for p, person in enumerate(episodes[0].people):
+        want = probes.gain_at(*person.spot)
+        np.testing.assert_allclose(gains[0, p], want, rtol=1e-5, atol=1e-6)
+
+
+def test_pictures_show_people_as_the_vector_env_s(episodes, bank, preset, monkeypatch) -> None:
+    """Colour within a level of 255 and depth alike, by the same renderer from host instances."""
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    sensors = ("rgb", "depth", "history")
+    env = open_device_env(episodes, bank, preset, sensors=sensors)
+    twin = VectorEnv(
+        3, FLAT, episodes=episodes, sensors=sensors, preset=preset, agent=BODY, bank=bank,
+        backend="cuda",
+    )  # fmt: skip
+    names = [e.id for e in episodes]
+    mine = env.reset(seed=0, options={"episode": names})[0]
+    theirs = twin.reset(seed=0, options={"episode": names})[0]
+    bare = mine["rgb"].numpy()[2]
+    assert (mine["rgb"].numpy()[0] != bare).any()
+    for row in ([2, 2, 2], [1, 3, 1], [1, 1, 2]):
+        for name in ("rgb", "history"):
+            apart = np.abs(mine[name].numpy().astype(int) - theirs[name].astype(int))
+            assert apart.max() <= 1, name
+        np.testing.assert_allclose(mine["depth"].numpy(), theirs["depth"], atol=1e-3)
+        mine, theirs = env.step(np.array(row))[0], twin.step(np.array(row))[0]
+
+
+def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> None:
+    with pytest.raises(ConfigError, match="last pictures"):
+        open_device_env(episodes, bank, preset, final_pictures=True)
+    with pytest.raises(EpisodeError, match="bank of people"):
+        open_device_env(episodes, None, preset)
+    alone = open_device_env(episodes[2:], bank, preset, count=1)
+    with pytest.raises(EpisodeError, match=r"'one'.*no episode had any"):
+        alone.reset(options={"episode": episodes[1]})

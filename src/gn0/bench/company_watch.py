@@ -15,7 +15,6 @@ import numpy as np
 
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.follow_recorder import FollowRecorder, Place
-from gn0.errors import EpisodeError
 from gn0.geometry import F64, wrap_angle
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow

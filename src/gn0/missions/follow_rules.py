@@ -25,16 +25,21 @@ PREFERRED = 1.5  # m: distance to keep where the mission tells none
 SAME_TIME = 1e-9  # s: clocks that differ by less say the same
 
 
-class _CutMove(Protocol):
+class CutMove(Protocol):
     """A move of the agent that was cut because of a person, see `gn0.sim.people.PersonHit`."""
 
     @property
-    def number(self) -> int: ...
+    def number(self) -> int:
+        """Of the person."""
+        ...
+
     @property
-    def by(self) -> str: ...
+    def by(self) -> str:
+        """Who moved more towards the other, "agent" or "person"."""
+        ...
 
 
-def touched_person(cut: _CutMove | None) -> int | None:
+def touched_person(cut: CutMove | None) -> int | None:
     """Whom the agent touched: the number of a person for whom its move was cut, by the agent.
 
     A person that walks into the agent's way cuts its move, too, and is not touched by it.

@@ -142,14 +142,13 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p,
                 free = False
                 break
         if free and is_free(walls, wall_arrays, e, x + ux * step, y + uy * step):
-            share, _ = share_allowed(
-                real, route, agent, radius, e, p, x + ux * SHUFFLE, y + uy * SHUFFLE
-            )
-            if share < 1.0:
-                continue
             clear = gap_at(real, route, agent, radius, e, p, x + ux * 0.2, y + uy * 0.2)
             score = clear + STEADY * (ux * hx + uy * hy)
-            if clear > here and score > best:
+            if clear <= here or score <= best:
+                continue
+            sx, sy = x + ux * SHUFFLE, y + uy * SHUFFLE
+            share, _ = share_allowed(real, route, agent, radius, e, p, sx, sy)
+            if share >= 1.0:
                 qx, qy = x + ux * 0.2, y + uy * 0.2
                 if not sees or clear_line(walls, wall_arrays, e, qx, qy, mx, my):
                     best, bx, by = score, ux, uy

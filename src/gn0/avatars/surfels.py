@@ -157,6 +157,36 @@ class DressedBody:
         keep[keep] &= ~self.hidden(middle[keep], normal[keep], number)
         return keep
 
+    def openness(self, points: F64, outward: F64, strand: NDArray[np.bool_]) -> F64:
+        """Share of a cosine-weighted half sphere that is open [N]; the floor below counts as open.
+
+        Args:
+            points: on its sheets, in the sculpted pose [N, 3] m.
+            outward: unit normals there [N, 3].
+            strand: which of them lie on hair [N].
+        """
+        caster = RayCaster(
+            join_meshes(
+                [
+                    layer.mesh(k, self.posed[k]).select(self.shown(k))
+                    for k, layer in enumerate(self.layers)
+                    if layer.part not in ("brows", "lashes")
+                ]
+            )
+        )
+        first = _tangents(outward, np.zeros_like(outward))
+        second = np.cross(outward, first)
+        start = points + (0.004 + 0.012 * strand)[:, None] * outward
+        free = np.zeros(len(points))
+        for k in range(_OPEN_RAYS):
+            # a spiral of cosine-weighted directions, turned from point to point
+            turn = 2.399963 * k + 2.0 * np.pi * ((np.arange(len(points)) * 0.754877666) % 1.0)
+            sine = np.sqrt((k + 0.5) / _OPEN_RAYS)
+            side = sine * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
+            direction = side + np.sqrt(1.0 - sine**2) * outward
+            free += ~caster.occluded(start, direction, _OPEN_REACH)
+        return free / _OPEN_RAYS
+
 
 def cover_layers(
     layers: Sequence[Layer],
@@ -215,7 +245,7 @@ def cover_layers(
         scales=np.where(strand[:, None], sizes, flat).astype(np.float32),
         opacities=opacity.astype(np.float32),
         weights=weights,
-        openness=_openness(dressed, posed, outward, strand),
+        openness=dressed.openness(posed, outward, strand),
     )
 
 
@@ -249,28 +279,3 @@ def _tangents(normals: F64, along: F64) -> F64:
     other = other - np.einsum("na,na->n", other, normals)[:, None] * normals
     wish = np.where(short[:, None], other, wish)
     return wish / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12)
-
-
-def _openness(dressed: DressedBody, points: F64, outward: F64, strand: NDArray[np.bool_]) -> F64:
-    """Share of a cosine-weighted half sphere that is open [N]; the floor below counts as open."""
-    caster = RayCaster(
-        join_meshes(
-            [
-                layer.mesh(k, dressed.posed[k]).select(dressed.shown(k))
-                for k, layer in enumerate(dressed.layers)
-                if layer.part not in ("brows", "lashes")
-            ]
-        )
-    )
-    first = _tangents(outward, np.zeros_like(outward))
-    second = np.cross(outward, first)
-    start = points + (0.004 + 0.012 * strand)[:, None] * outward
-    free = np.zeros(len(points))
-    for k in range(_OPEN_RAYS):
-        # a spiral of cosine-weighted directions, turned from point to point
-        turn = 2.399963 * k + 2.0 * np.pi * ((np.arange(len(points)) * 0.754877666) % 1.0)
-        sine = np.sqrt((k + 0.5) / _OPEN_RAYS)
-        side = sine * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
-        direction = side + np.sqrt(1.0 - sine**2) * outward
-        free += ~caster.occluded(start, direction, _OPEN_REACH)
-    return free / _OPEN_RAYS

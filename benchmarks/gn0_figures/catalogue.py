@@ -15,7 +15,7 @@ _MODULES = (
     "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
     "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "dagger",
     "dapo", "episode_rl", "training_state", "people_dress", "people_looks", "people_sim",
-    "people_words", "people_follow", "people_bench",
+    "people_words", "people_follow", "people_bench", "people_mesh",
 )  # fmt: skip
 
 

@@ -102,7 +102,7 @@ class MeshPerson:
         posed = [skin_points(la.vertices, la.weights, transforms) for la in self.layers]
         meshes = [la.mesh(k, v) for k, (la, v) in enumerate(zip(self.layers, posed, strict=True))]
         caster = RayCaster(join_meshes(meshes))
-        to_body = np.linalg.inv(place)
+        to_body: F64 = np.linalg.inv(place)
         eye, ways, pixel = _rays(camera, view, to_body, posed, samples)
         hits = self._meet(caster, eye, ways)
         lit = self._shade(hits, posed, (place[:3, :3] @ TO_WORLD, gain))
@@ -130,17 +130,18 @@ class MeshPerson:
             origin = eye + gone[alive, None] * ways[alive]
             face, t, uv = caster.cast(origin, ways[alive])
             hit = face >= 0
-            alive, face, t, uv = alive[hit], face[hit], t[hit].astype(np.float64), uv[hit]
+            alive, face, uv = alive[hit], face[hit], uv[hit]
+            far = t[hit].astype(np.float64)
             if not len(alive):
                 break
-            gone[alive] += t + _ON
+            gone[alive] += far + _ON
             layer = self.dressed.owner[face]
             bary = np.column_stack([1.0 - uv.sum(axis=1), uv]).astype(np.float64)
             triangle = face - starts[layer]
             good, covers = np.zeros(len(alive), bool), np.ones(len(alive))
             for k in np.unique(layer):
                 here = np.flatnonzero(layer == k)
-                good[here] = self._there(int(k), SheetPoints(triangle[here], bary[here], t[here]))
+                good[here] = self._there(int(k), SheetPoints(triangle[here], bary[here], far[here]))
                 covers[here] = COVERS.get(self.layers[k].part, 1.0)
             weight = left[alive] * covers * good
             left[alive] -= weight

@@ -27,7 +27,7 @@ from gn0.geometry import F64
 from gn0.scenes.procedural.palette import linear_colour
 from gn0.scenes.rays import RayCaster
 
-FOOTPRINT = 0.0086  # detail of fabrics finer than a disc is left out [m]
+FOOTPRINT = 0.0050  # detail of fabrics finer than a disc is left out [m]
 _SHADOW = 0.55  # of self-shadow that is baked: the rest is left to the scene's light
 _INKED = (0.004, 0.004, 0.005)  # of lashes
 
@@ -92,11 +92,10 @@ def paint_surfels(
         elif layer.part == "lashes":
             colour = np.tile(np.array(_INKED), (len(points), 1))
         else:
-            at = place_points(
-                points,
-                shape.joints,
-                whole and place_points(whole.points[whole.layer == number], shape.joints),
-            )
+            every = None
+            if whole is not None:
+                every = place_points(whole.points[whole.layer == number], shape.joints)
+            at = place_points(points, shape.joints, every)
             island = layer.uv[surfels.sheet.triangle[here], 0, 0]
             colour = _paint_garment(
                 identity, layer.part, at, island, colours, hat_colour, footprint

@@ -25,10 +25,14 @@ from gn0.people.reach import (
     BLOCKED_BY,
     CLIP_SINCE,
     DIRECTION,
+    FX,
+    FY,
     HX,
     HY,
     NOBODY,
     REALS,
+    SETTLE,
+    TURN_SINCE,
     WHOLES,
     X0,
     Y0,
@@ -129,6 +133,8 @@ def place_rows(real, whole, route, routes, row, numbers):  # type: ignore[no-unt
         whole[row, p, DIRECTION] = 1
         whole[row, p, BLOCKED_BY] = NOBODY
         whole[row, p, CLIP_SINCE] = LONG_AGO
+        real[row, p, FX], real[row, p, FY] = routes.lines[r, 2], routes.lines[r, 3]
+        whole[row, p, TURN_SINCE] = SETTLE
 
 
 def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:

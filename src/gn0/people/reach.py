@@ -12,9 +12,10 @@ from gn0.people.route import BRAKE
 
 # float64 columns: place, place a tick ago [m]; unit vector of heading; speed [m/s]; way along the
 # path from its start [m]; distance walked since the episode began [m], which is the gait's phase;
-# what is left of the stop in progress [s]
-X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED, HOLD_LEFT = range(10)
-REALS = 10
+# what is left of the stop in progress [s]; unit vector of the way that feet stand, which is another
+# than the heading while one turns on the spot
+X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED, HOLD_LEFT, FX, FY = range(12)
+REALS = 12
 # int64 columns
 MODE = 0  # ON_PATH, ROUND or ARRIVED
 PIECE = 1  # of the path, counted from its first point
@@ -29,7 +30,8 @@ CLIP_SINCE = 9  # ticks since it was something else
 BLOCKED_BY = 10  # row of the person who was in its way in the last tick, AGENT or NOBODY
 TURNED = 11  # times that it turned back for want of a way round
 ASIDE_LEFT = 12  # ticks that it still makes room, having found no way either way
-WHOLES = 13
+TURN_SINCE = 13  # ticks since who stands turned; feet that stand another way step after it
+WHOLES = 14
 
 ON_PATH, ROUND, ARRIVED = 0, 1, 2
 STILL, WALK = 0, 1
@@ -45,6 +47,9 @@ ROUND_SPEED = 0.6  # m/s at most, going round
 ROUND_SECONDS = 4  # s of going round before one turns back
 NO_WAY_SECONDS = 0.5  # s without any way on before one turns back
 BACK_SECONDS = 5  # s of walking back before one turns again
+PIVOT_COS = 0.7071067811865476  # of 45 degrees, after which both feet have stepped once
+PIVOT_LAG = 4  # ticks of walking until feet are those of the walk
+SETTLE = 8  # ticks in which feet step after a body that has stopped turning
 ROOM = 0.06  # m that one keeps from others while one goes round
 HOME = 0.3  # m from the path, from where one walks straight back to it
 SHUFFLE = 0.1  # m that one goes sideways without turning

@@ -28,6 +28,7 @@ PARTS: tuple[str, ...] = (
     "skin", "eyes", "brows", "lashes", "hair", "hat", "top", "bottom", "socks", "shoes", "scarf",
     "shadow",
     "person",
+    "held",
 )  # fmt: skip
 _INFLUENCES = 4
 

@@ -178,7 +178,7 @@ def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
         pose, shift = library.pose_at(*now)
     if shown.look != _STRAIGHT:
         pose = turn_head(pose, math.radians(LOOKS[shown.look]))
-    return actor.levels[level].pose(pose, shift)
+    return actor.level(level, shown.clip).pose(pose, shift)
 
 
 def _at(clip: str, frame: int) -> float:

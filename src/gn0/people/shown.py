@@ -117,7 +117,10 @@ def show_person(
             quarter = since + 1
         else:
             other, other_frame = "", 0
-        forward = (phase / PHASES - cycles) * stride
+        # who stands is where it is: what the phase of a walk was off by would turn with it
+        walks = min(since + 1, _BLEND) / _BLEND
+        walks = walks if whole[CLIP] == WALK else 1.0 - walks
+        forward = walks * (phase / PHASES - cycles) * stride
     if clip not in GESTURES:  # a frame of a loop, or held at its end
         frame = frame if clip in _BY_ROW else library.clip(clip).row(frame / FPS)
     look = _STRAIGHT

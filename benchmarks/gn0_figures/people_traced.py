@@ -102,7 +102,7 @@ class MeshPerson:
         posed = [skin_points(la.vertices, la.weights, transforms) for la in self.layers]
         meshes = [la.mesh(k, v) for k, (la, v) in enumerate(zip(self.layers, posed, strict=True))]
         caster = RayCaster(join_meshes(meshes))
-        to_body: F64 = np.linalg.inv(place)
+        to_body = np.asarray(np.linalg.inv(place), np.float64)
         eye, ways, pixel = _rays(camera, view, to_body, posed, samples)
         hits = self._meet(caster, eye, ways)
         lit = self._shade(hits, posed, (place[:3, :3] @ TO_WORLD, gain))

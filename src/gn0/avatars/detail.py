@@ -30,10 +30,12 @@ GRAIN = (0.0086, 0.0150, 0.0300, 0.0550)  # that distance [m]
 _ROUNDS = 4  # of moving middles and sharing out again
 _FINE = 0.7  # how much of an avatar's own fineness, as on a face, its levels give up: 1 all
 _FACING, _LOOK = 1.0, 2.0  # grains that a turn of a radian, and a whole step of colour, are worth
+_NEAR = 24  # neighbours whose sizes are much the same
+_DENSE = 0.55  # of the distance of the sixth neighbour, which is 0.76 of the mean distance
 _APART = 1e3  # grains between parts: they never mix
-_SPREAD = (1.0, 1.1, 0.95, 0.8)  # of what is merged: a picture widens all splats by half a pixel
+_SPREAD = (1.0, 1.3, 3.0, 4.8)  # of what is merged, relative to its moments
 _HANG = 1.15  # of arms in the pose in which splats are merged [rad]
-_INWARD = (0.0, 0.0, 0.008, 0.020)  # how far what is merged lies below the surface [m], likewise
+_INWARD = (0.0, -0.001, -0.002, -0.001)  # how far what is merged lies below the surface [m]
 _FLAT = 3e-4  # least thickness of a disc [m]
 _SWEEPS = 8  # of Jacobi's method: a 3 x 3 matrix is diagonal after five
 
@@ -92,7 +94,7 @@ def merge_avatar(avatar: Avatar, count: int, *, spread: float = 1.0, inward: flo
     colour = encode_srgb(avatar.albedo).astype(np.float64)
     sizes = np.sort(avatar.scales.astype(np.float64), axis=1)
     area = sizes[:, 1] * sizes[:, 2]
-    group = _group(points, normals, colour, avatar.part, np.sqrt(area), count)
+    group = _group(points, normals, colour, avatar.part, count)
     mass = area * avatar.opacities
     share = mass / np.bincount(group, mass)[group]
 
@@ -133,13 +135,11 @@ def _usual_pose() -> F64:
 
 
 def _group(
-    points: F64, normals: F64, colour: F64, part: NDArray[np.int32], own: F64, count: int
+    points: F64, normals: F64, colour: F64, part: NDArray[np.int32], count: int
 ) -> NDArray[np.int64]:
-    """Number of the group of each splat [N], about `count` groups without gaps in numbers.
-
-    `own` [N]: size of each [m].
-    """
+    """Number of the group of each splat [N], about `count` groups without gaps in numbers."""
     # so much of the surface a group has, less where splats lie closely
+    own = _even_sizes(points, part)
     worth = own ** (2.0 * _FINE)
     grain = np.sqrt(np.sum(own**2 / worth) / count * worth)
     order = np.lexsort((morton_codes(points.astype(np.float32)), part))
@@ -149,14 +149,13 @@ def _group(
     first = np.unique(order[np.minimum(np.searchsorted(along, wanted), len(order) - 1)])
     place = np.column_stack(
         [
-            points / grain[:, None],
-            _FACING * normals,
-            _LOOK * colour,
+            points,
+            _FACING * grain[:, None] * normals,
+            _LOOK * grain[:, None] * colour,
             _APART * part,
         ]
     )
     middles = place[first]
-    # distances are counted in grains of the place: middles move in metres
     group = cKDTree(middles).query(place)[1]
     for _ in range(_ROUNDS):
         group = np.unique(group, return_inverse=True)[1]
@@ -164,6 +163,20 @@ def _group(
         middles = np.stack([np.bincount(group, column) / members for column in place.T], axis=1)
         group = cKDTree(middles).query(place)[1]
     return np.asarray(np.unique(group, return_inverse=True)[1], np.int64)
+
+
+def _even_sizes(points: F64, part: NDArray[np.int32]) -> F64:
+    """Sizes [N] m by how close splats lie, much the same for neighbours."""
+    even = np.empty(len(points))
+    for number in np.unique(part):
+        here = np.flatnonzero(part == number)
+        most = min(_NEAR, len(here))
+        away, near = (
+            a.reshape(len(here), -1) for a in cKDTree(points[here]).query(points[here], k=most)
+        )
+        size = np.median(away[:, min(6, most - 1)][near], axis=1)
+        even[here] = np.maximum(_DENSE * size, 1e-4)
+    return even
 
 
 def diagonalise(matrices: F64) -> tuple[F64, F64]:

@@ -32,6 +32,8 @@ class ClothPlaces:
         bend: nearness to elbow, knee, armpit or hip [N], 0..1: where cloth folds.
         front: on the front of the trunk [N] bool.
         points: [N, 3] m.
+        chest: height of what is printed [m].
+        lowest: height of the lowest [m], where soles are.
     """
 
     along: F64
@@ -40,10 +42,18 @@ class ClothPlaces:
     bend: F64
     front: NDArray[np.bool_]
     points: F64
+    chest: float
+    lowest: float
 
 
-def place_points(points: F64, joints: F64) -> ClothPlaces:
-    """Where points of clothes [N, 3] m lie on a body of joints [55, 3] m, both at rest."""
+def place_points(points: F64, joints: F64, whole: ClothPlaces | None = None) -> ClothPlaces:
+    """Where points of clothes [N, 3] m lie on a body of joints [55, 3] m, both at rest.
+
+    Args:
+        points: [N, 3] m.
+        joints: [55, 3] m.
+        whole: the evenly spread points of all of the garment, where these are some of it.
+    """
     x, y, z = points.T
     shoulder, hip = joints[INDEX["left_shoulder"]], joints[INDEX["left_hip"]]
     arm = np.abs(x) > shoulder[0] + 0.03
@@ -57,13 +67,21 @@ def place_points(points: F64, joints: F64) -> ClothPlaces:
         for side in ("left", "right"):
             away = np.linalg.norm(points - joints[INDEX[f"{side}_{name}"]], axis=1)
             bend = np.maximum(bend, np.exp(-((away / wide) ** 2)))
+    along = np.where(arm, np.abs(x), y)
+    if whole is not None:
+        chest, lowest = whole.chest, whole.lowest
+    else:
+        chest = float(np.quantile(along[limb == 0], 0.70)) if (limb == 0).any() else 0.0
+        lowest = float(y.min()) if len(y) else 0.0
     return ClothPlaces(
-        along=np.where(arm, np.abs(x), y),
+        along=along,
         around=np.where(arm, arm_turn, np.where(leg, leg_turn, trunk_turn)),
         limb=limb,
         bend=bend,
         front=(limb == 0) & (z > joints[INDEX["spine2"], 2]),
         points=points,
+        chest=chest,
+        lowest=lowest,
     )
 
 
@@ -112,8 +130,7 @@ def _dots(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F6
 def _print(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F64:
     """A word, a disc or a bar on the chest."""
     base = _plain(at, colour, second, seed, fp)
-    chest = np.quantile(at.along[at.limb == 0], 0.70) if (at.limb == 0).any() else 0.0
-    u, v = at.around, at.along - chest
+    u, v = at.around, at.along - at.chest
     kind = seed % 3
     if kind == 0:
         word = _WORDS[(seed // 3) % len(_WORDS)]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gn0.avatars.body import BodyShape
 from gn0.avatars.makehuman.mesh_obj import triangles_of
 from gn0.avatars.makehuman.mhclo import Cloth
+from gn0.avatars.sampling import SheetPoints
 from gn0.avatars.skinning import (
     SkinWeights,
     pack_weights,
@@ -27,6 +28,7 @@ PARTS: tuple[str, ...] = (
     "skin", "eyes", "brows", "lashes", "hair", "hat", "top", "bottom", "socks", "shoes", "scarf",
     "shadow",
     "person",
+    "held",
 )  # fmt: skip
 _INFLUENCES = 4
 
@@ -82,6 +84,13 @@ class Layer:
             return np.zeros(len(self.triangles), bool)
         corner = self.covered[self.triangles]
         return corner[:, 0] & corner[:, 1] & corner[:, 2]
+
+    def there(self, at: SheetPoints) -> NDArray[np.bool_]:
+        """Which places on its triangles it has, by its cut and by what is covered for certain."""
+        there = ~self.covered_triangles()[at.triangle]
+        rows = np.flatnonzero(there)
+        there[rows] = self.kept(at.select(rows).blend(self.vertices, self.triangles))
+        return there
 
     def kept(self, points: F64) -> NDArray[np.bool_]:
         """Which points of it [M, 3] m are there."""

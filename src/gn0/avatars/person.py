@@ -26,11 +26,11 @@ from gn0.avatars.wardrobe import BOTTOMS, TOPS, dress_extras
 from gn0.geometry import F64
 from gn0.seeds import random_stream
 
-DISC_SPACING = 0.0086  # of discs on clothes and limbs [m]
+DISC_SPACING = 0.0075  # of discs on clothes and limbs [m]
 FACE, HAND, EYE, BROW, HAIR_SPACING = 0.0042, 0.0055, 0.0016, 0.0020, 0.0040
 _MARGIN = 0.016  # skin that is kept inside a hem [m]
 _LOOSE = 0.2  # reach of what hangs off the body: a skirt covers nothing for certain
-_MOST = 42_000  # discs, before those that are hidden are left out
+_MOST = 48_000  # discs, before those that are hidden are left out
 _RAISED = 0.0018  # brows and lashes before the skin, which has a thickness of its own [m]
 
 
@@ -216,5 +216,5 @@ def space_layer(layer: Layer, shape: BodyShape) -> F64:
             spacing = np.minimum(spacing, np.clip(0.0022 + 0.25 * (away - 0.022), 0.0022, None))
         spacing[np.abs(middle[:, 0]) > abs(shape.joints[INDEX["left_wrist"], 0])] = HAND
     if layer.part == "shoes":
-        spacing[:] = 0.0070
+        spacing[:] = 0.0060
     return spacing

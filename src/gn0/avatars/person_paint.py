@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gn0.avatars.body import BodyShape
 from gn0.avatars.colour_names import draw_colour
-from gn0.avatars.fabrics import fold_depth, paint_cloth, place_points
+from gn0.avatars.fabrics import ClothPlaces, fold_depth, paint_cloth, place_points
 from gn0.avatars.identity import Identity
 from gn0.avatars.layer import PARTS, Layer
 from gn0.avatars.skin_paint import (
@@ -27,7 +27,7 @@ from gn0.geometry import F64
 from gn0.scenes.procedural.palette import linear_colour
 from gn0.scenes.rays import RayCaster
 
-FOOTPRINT = 0.0086  # detail of fabrics finer than a disc is left out [m]
+FOOTPRINT = 0.0050  # detail of fabrics finer than a disc is left out [m]
 _SHADOW = 0.55  # of self-shadow that is baked: the rest is left to the scene's light
 _INKED = (0.004, 0.004, 0.005)  # of lashes
 
@@ -39,8 +39,23 @@ def paint_surfels(
     shape: BodyShape,
     face: FacePlaces,
     stream: np.random.Generator,
+    *,
+    whole: Surfels | None = None,
+    footprint: float = FOOTPRINT,
 ) -> F64:
-    """Linear albedo [N, 3] of all discs, self-shadow in it."""
+    """Linear albedo [N, 3] of all discs, self-shadow in it.
+
+    Args:
+        identity: who it is.
+        layers: the sheets of the person.
+        surfels: what is painted.
+        shape: the body.
+        face: where its face is.
+        stream: of what words leave open.
+        whole: all discs of the person, where `surfels` are other points of it: prints and soles
+            are where those have them.
+        footprint: detail of fabrics finer than that is left out [m].
+    """
     colours = {
         name: draw_colour(getattr(identity, name), stream)
         for name in ("top_colour", "second_colour", "bottom_colour", "shoes_colour", "extra_colour")
@@ -77,7 +92,14 @@ def paint_surfels(
         elif layer.part == "lashes":
             colour = np.tile(np.array(_INKED), (len(points), 1))
         else:
-            colour = _paint_garment(identity, layer, surfels, here, shape, colours, hat_colour)
+            every = None
+            if whole is not None:
+                every = place_points(whole.points[whole.layer == number], shape.joints)
+            at = place_points(points, shape.joints, every)
+            island = layer.uv[surfels.sheet.triangle[here], 0, 0]
+            colour = _paint_garment(
+                identity, layer.part, at, island, colours, hat_colour, footprint
+            )
         albedo[here] = colour
     openness = np.where(surfels.part(layers) == PARTS.index("eyes"), 0.8, surfels.openness)
     return albedo * (1.0 - _SHADOW * (1.0 - openness))[:, None]
@@ -85,15 +107,14 @@ def paint_surfels(
 
 def _paint_garment(
     identity: Identity,
-    layer: Layer,
-    surfels: Surfels,
-    here: NDArray[np.bool_],
-    shape: BodyShape,
+    part: str,
+    at: ClothPlaces,
+    island: F64,
     colours: dict[str, F64],
     hat_colour: F64,
+    footprint: float,
 ) -> F64:
-    at = place_points(surfels.points[here], shape.joints)
-    seed = identity.seed + 31 * PARTS.index(layer.part)
+    seed = identity.seed + 31 * PARTS.index(part)
     pattern, colour, second = {
         "top": (identity.top_pattern, colours["top_colour"], colours["second_colour"]),
         "bottom": (identity.bottom_pattern, colours["bottom_colour"], colours["second_colour"]),
@@ -101,18 +122,17 @@ def _paint_garment(
         "scarf": ("knitted", colours["extra_colour"], colours["extra_colour"]),
         "hat": ("plain", hat_colour, hat_colour),
         "socks": ("knitted", np.array((0.55, 0.55, 0.55)), np.array((0.5, 0.5, 0.5))),
-    }[layer.part]
-    painted = paint_cloth(at, pattern, colour, second, seed, FOOTPRINT)
-    inner = TOPS[identity.top].inner if layer.part == "top" else None
+    }[part]
+    painted = paint_cloth(at, pattern, colour, second, seed, footprint)
+    inner = TOPS[identity.top].inner if part == "top" else None
     if inner is not None:
-        island = layer.uv[surfels.sheet.triangle[here], 0, 0]
         shirt = np.isin(island, _SHIRT_ISLANDS[identity.top])
         painted[shirt] = np.array(inner) * (1 - 0.1 * fold_depth(at, seed)[shirt, None])
         if identity.top == "suit":
             tie = shirt & (np.abs(at.points[:, 0]) < 0.021)
             painted[tie] = colours["second_colour"]
-    if layer.part == "shoes":
-        sole = at.points[:, 1] < at.points[:, 1].min() + 0.018
+    if part == "shoes":
+        sole = at.points[:, 1] < at.lowest + 0.018
         painted[sole] = (
             np.array((0.035, 0.033, 0.031)) if colour.mean() > 0.1 else np.array((0.3, 0.29, 0.27))
         )

@@ -19,21 +19,25 @@ from gn0.geometry import F32, F64, quaternion_from_rotation, rotation_from_quate
 from gn0.scenes.mesh import join_meshes
 from gn0.scenes.rays import RayCaster
 
-SIGMA = 0.76  # standard deviation of a disc, in mean distances of neighbours
+SIGMA = 1.85  # standard deviations of a disc, in those of the place that is nearest to it
 THICKNESS = 0.0012  # of a disc [m]
 STRANDS = {  # standard deviations along and across, and thickness [m]
-    "hair": (0.011, 0.0022, THICKNESS),
-    "brows": (0.0026, 0.0006, 0.0004),
+    "hair": (0.008, 0.0022, THICKNESS),
+    "brows": (0.0020, 0.0005, 0.0004),
     "lashes": (0.0008, 0.00022, 0.0002),
 }
 _STRAND_SPACING = 0.0042  # for which sizes of hair are [m]
 # fine strands are widened to a pixel by renderers: they must be faint to look as dark as they are
-OPACITIES = {"hair": 0.85, "brows": 0.5, "lashes": 0.12}
+OPACITIES = {"hair": 0.85, "brows": 0.28, "lashes": 0.03}
 _SHEETS_MOST = 6  # that a ray goes through
 _TILT = 0.75  # of the rays beside the normal that tell what is hidden
 _LIFT = 3e-4  # [m]
 _OUT = 0.008  # how far what belongs under a sheet may stick out of it [m]
 _OPEN_RAYS, _OPEN_REACH = 24, 0.45  # of self-shadow [m]
+_CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of it
+# discs are seen half a pixel beyond where they end, so that they lie a little under the surface
+_INSET, _INSET_MOST = 0.65, 0.3  # in their standard deviations, and of the thickness of a part
+_END = 1.5  # standard deviations from its middle where a strand ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +161,45 @@ class DressedBody:
         keep[keep] &= ~self.hidden(middle[keep], normal[keep], number)
         return keep
 
+    def depth(self, points: F64, normals: F64, number: int) -> F64:
+        """How thick sheet `number` is under points of it [N] m; infinite where it is open."""
+        layer = self.layers[number]
+        if not len(points):
+            return np.zeros(0)
+        caster = RayCaster(layer.mesh(0, self.posed[number]))
+        _, t, _ = caster.cast(points - _LIFT * normals, -normals, _OPEN_REACH)
+        return t.astype(np.float64)
+
+    def openness(self, points: F64, outward: F64, strand: NDArray[np.bool_]) -> F64:
+        """Share of a cosine-weighted half sphere that is open [N]; the floor below counts as open.
+
+        Args:
+            points: on its sheets, in the sculpted pose [N, 3] m.
+            outward: unit normals there [N, 3].
+            strand: which of them lie on hair [N].
+        """
+        caster = RayCaster(
+            join_meshes(
+                [
+                    layer.mesh(k, self.posed[k]).select(self.shown(k))
+                    for k, layer in enumerate(self.layers)
+                    if layer.part not in ("brows", "lashes")
+                ]
+            )
+        )
+        first = _tangents(outward, np.zeros_like(outward))
+        second = np.cross(outward, first)
+        start = points + (0.004 + 0.012 * strand)[:, None] * outward
+        free = np.zeros(len(points))
+        for k in range(_OPEN_RAYS):
+            # a spiral of cosine-weighted directions, turned from point to point
+            turn = 2.399963 * k + 2.0 * np.pi * ((np.arange(len(points)) * 0.754877666) % 1.0)
+            sine = np.sqrt((k + 0.5) / _OPEN_RAYS)
+            side = sine * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
+            direction = side + np.sqrt(1.0 - sine**2) * outward
+            free += ~caster.occluded(start, direction, _OPEN_REACH)
+        return free / _OPEN_RAYS
+
 
 def cover_layers(
     layers: Sequence[Layer],
@@ -173,49 +216,139 @@ def cover_layers(
         stream: where points are drawn.
     """
     dressed = DressedBody.of(layers, fitting.transforms)
-    sheets, points, normals, along, dense, number = [], [], [], [], [], []
+    covers = []
     for k, layer in enumerate(layers):
         vertices = dressed.posed[k]
-        sheet = spread_points(vertices, layer.triangles, spacing[k], stream, even=not layer.strands)
-        sheet = sheet.select(~layer.covered_triangles()[sheet.triangle])
-        sheet = sheet.select(layer.kept(sheet.blend(layer.vertices, layer.triangles)))
+        sheet = spread_points(
+            vertices, layer.triangles, spacing[k], stream, even=not layer.strands, there=layer.there
+        )
         point = sheet.blend(vertices, layer.triangles)
-        normal = sheet.blend(smooth_normals(vertices, layer.triangles), layer.triangles)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        normal = _unit(sheet.blend(smooth_normals(vertices, layer.triangles), layer.triangles))
         shown = ~dressed.hidden(point, normal, k)
-        sheet = sheet.select(shown)
-        sheets.append(sheet)
-        points.append(point[shown])
-        normals.append(normal[shown])
-        along.append(_along(layer, vertices, sheet))
-        dense.append(sheet.blend(layer.weights.dense(), layer.triangles))
-        number.append(np.full(len(sheet.triangle), k, np.int32))
-    weights = pack_weights(np.concatenate(dense), 4)
-    posed, outward = np.concatenate(points), np.concatenate(normals)
-    layer_of = np.concatenate(number)
-    spaced = np.concatenate([sheet.spacing for sheet in sheets])
-    first = _tangents(outward, np.concatenate(along))
+        sheet, point, normal = sheet.select(shown), point[shown], normal[shown]
+        lay = _lay_strands if layer.strands else _lay_discs
+        covers.append(lay(dressed, k, sheet, point, normal, fitting))
+    layer_of = np.repeat(np.arange(len(layers), dtype=np.int32), [len(c.points) for c in covers])
+    surface = np.concatenate([c.surface for c in covers])
+    outward = np.concatenate([c.normals for c in covers])
+    strand = np.array([layer.strands for layer in layers])[layer_of]
+    openness = dressed.openness(surface, outward, strand)
+    # what is inside of a head, as a mouth is, would show through
+    skin = np.array([layer.part == "skin" for layer in layers])[layer_of]
+    keep = ~(skin & (openness <= _CLOSED))
+    weights = pack_weights(np.concatenate([c.weights for c in covers])[keep], 4)
+    outward, layer_of = outward[keep], layer_of[keep]
+    first = np.concatenate([c.along for c in covers])[keep]
     rotation = np.stack([first, np.cross(outward, first), outward], axis=2)
     back = blended_turns(weights, fitting.transforms).transpose(0, 2, 1)
-    strand = np.array([layer.strands for layer in layers])[layer_of]
-    flat = np.stack([SIGMA * spaced, SIGMA * spaced, np.full(len(posed), THICKNESS)], axis=1)
     opacity = np.array([OPACITIES.get(layer.part, 0.995) for layer in layers])[layer_of]
-    sizes = np.array([STRANDS.get(layer.part, STRANDS["hair"]) for layer in layers])[layer_of]
-    sizes[:, :2] *= np.maximum(spaced / _STRAND_SPACING, 1.0)[:, None]  # fewer are wider
     return Surfels(
         layer=layer_of,
         sheet=SheetPoints(
-            np.concatenate([sheet.triangle for sheet in sheets]),
-            np.concatenate([sheet.bary for sheet in sheets]),
-            spaced,
+            np.concatenate([c.sheet.triangle for c in covers])[keep],
+            np.concatenate([c.sheet.bary for c in covers])[keep],
+            np.concatenate([c.sheet.spacing for c in covers])[keep],
         ),
-        points=fitting.undo(posed, weights),
+        points=fitting.undo(np.concatenate([c.points for c in covers])[keep], weights),
         normals=np.einsum("nab,nb->na", back, outward),
         quats=quaternion_from_rotation(back @ rotation).astype(np.float32),
-        scales=np.where(strand[:, None], sizes, flat).astype(np.float32),
+        scales=np.concatenate([c.sizes for c in covers])[keep].astype(np.float32),
         opacities=opacity.astype(np.float32),
         weights=weights,
-        openness=_openness(dressed, posed, outward, strand),
+        openness=openness[keep],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Cover:
+    """Discs of one sheet in the sculpted pose.
+
+    Attributes:
+        sheet: where on it [N].
+        surface, points: on it, and centres [N, 3] m.
+        normals, along: the third and the first axis [N, 3].
+        sizes: [N, 3] m.
+        weights: of all joints [N, 55].
+    """
+
+    sheet: SheetPoints
+    surface: F64
+    points: F64
+    normals: F64
+    along: F64
+    sizes: F64
+    weights: F64
+
+
+def disc_axes(normals: F64, cells: F64) -> tuple[F64, F64]:
+    """First axes [N, 3] and standard deviations along and across [N, 2] m of discs over cells.
+
+    Args:
+        normals: unit normals [N, 3].
+        cells: second moments of what each is to cover [N, 3, 3] m².
+    """
+    first = _tangents(normals, np.zeros_like(normals))
+    second = np.cross(normals, first)
+    xx, xy, yy = (
+        np.einsum("na,nab,nb->n", u, cells, v)
+        for u, v in ((first, first), (first, second), (second, second))
+    )
+    half, off = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    turn = np.arctan2(2 * xy, xx - yy) / 2
+    along = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
+    return along, SIGMA * np.sqrt(np.maximum(np.column_stack([half + off, half - off]), 1e-12))
+
+
+def _lay_discs(
+    dressed: DressedBody, number: int, sheet: SheetPoints, point: F64, normal: F64, fitting: Fitting
+) -> _Cover:
+    """Each disc covers its cell, a little under the surface."""
+    layer = dressed.layers[number]
+    assert sheet.cell is not None
+    along, wide = disc_axes(normal, sheet.cell)
+    inset = _INSET * np.sqrt(wide[:, 0] * wide[:, 1]) * (layer.part != "eyes")
+    inset = np.minimum(inset, _INSET_MOST * dressed.depth(point, normal, number))
+    return _Cover(
+        sheet=sheet,
+        surface=point,
+        points=point - inset[:, None] * normal,
+        normals=normal,
+        along=along,
+        sizes=np.column_stack([wide, np.full(len(point), THICKNESS)]),
+        weights=sheet.blend(layer.weights.dense(), layer.triangles),
+    )
+
+
+def _lay_strands(
+    dressed: DressedBody, number: int, sheet: SheetPoints, point: F64, normal: F64, fitting: Fitting
+) -> _Cover:
+    """Strands run along a sheet, and end where it is cut off or goes under something."""
+    layer = dressed.layers[number]
+    along = _tangents(normal, _along(layer, dressed.posed[number], sheet))
+    sizes = np.tile(STRANDS.get(layer.part, STRANDS["hair"]), (len(point), 1))
+    sizes[:, :2] *= np.maximum(sheet.spacing / _STRAND_SPACING, 1.0)[:, None]  # fewer are wider
+    dense = sheet.blend(layer.weights.dense(), layer.triangles)
+    weights = (
+        pack_weights(dense, 4)
+        if len(dense)
+        else SkinWeights(np.zeros((0, 4), np.uint8), np.zeros((0, 4)))
+    )
+    ends = []
+    for sign in (1.0, -1.0):
+        end = point + sign * _END * sizes[:, :1] * along
+        ends.append(layer.kept(fitting.undo(end, weights)) & ~dressed.hidden(end, normal, number))
+    moved = 0.5 * _END * sizes[:, 0] * (ends[0].astype(float) - ends[1])
+    centre = point + moved[:, None] * along
+    sizes[:, 0] = np.where(ends[0] & ends[1], sizes[:, 0], sizes[:, 0] / 2)
+    keep = ends[0] | ends[1]
+    return _Cover(
+        sheet=sheet.select(keep),
+        surface=point[keep],
+        points=centre[keep],
+        normals=normal[keep],
+        along=along[keep],
+        sizes=sizes[keep],
+        weights=dense[keep],
     )
 
 
@@ -251,26 +384,5 @@ def _tangents(normals: F64, along: F64) -> F64:
     return wish / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12)
 
 
-def _openness(dressed: DressedBody, points: F64, outward: F64, strand: NDArray[np.bool_]) -> F64:
-    """Share of a cosine-weighted half sphere that is open [N]; the floor below counts as open."""
-    caster = RayCaster(
-        join_meshes(
-            [
-                layer.mesh(k, dressed.posed[k]).select(dressed.shown(k))
-                for k, layer in enumerate(dressed.layers)
-                if layer.part not in ("brows", "lashes")
-            ]
-        )
-    )
-    first = _tangents(outward, np.zeros_like(outward))
-    second = np.cross(outward, first)
-    start = points + (0.004 + 0.012 * strand)[:, None] * outward
-    free = np.zeros(len(points))
-    for k in range(_OPEN_RAYS):
-        # a spiral of cosine-weighted directions, turned from point to point
-        turn = 2.399963 * k + 2.0 * np.pi * ((np.arange(len(points)) * 0.754877666) % 1.0)
-        sine = np.sqrt((k + 0.5) / _OPEN_RAYS)
-        side = sine * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
-        direction = side + np.sqrt(1.0 - sine**2) * outward
-        free += ~caster.occluded(start, direction, _OPEN_REACH)
-    return free / _OPEN_RAYS
+def _unit(vectors: F64) -> F64:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)

@@ -46,6 +46,7 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Pose, draw and write; say what was made."""
     from gn0.avatars.bank import AvatarBank, load_avatar
+    from gn0.avatars.held import hold_thing
     from gn0.avatars.motion.legs import measure_build
     from gn0.avatars.motion.lhm import save_lhm_document
     from gn0.avatars.motion.library import CLIPS, ClipLibrary
@@ -72,6 +73,7 @@ def run(args: Args) -> int:
     if args.motion in CLIPS:
         build = measure_build(avatar.joints, avatar.points, avatar.weights)
         motion = ClipLibrary(build, args.seed, args.seat).motion(args.motion, args.speed)
+        avatar = hold_thing(avatar, args.motion)
     else:
         motion = load_motion(args.motion, avatar.joints)
     played = play_motion(motion, args.fps, args.seconds)

@@ -1,7 +1,8 @@
-"""Bring a person of splats: a `.ply` of the T-pose, as LHM writes it, with a `binding.npz`.
+"""Bring a person: splats of the T-pose, as LHM writes them, or a `.glb` with a humanoid skin.
 
-The binding says which of the 55 joints carry each splat (`weights_idx`, `weights`), and where the
-joints are (`joints`, or `betas` and whose they are). docs/avatars.md has the fields.
+Triangles of a `.glb` become splats, its textures albedo, its joints ours. Beside splats lies a
+`binding.npz`. It says which of the 55 joints carry each splat (`weights_idx`, `weights`), and where
+the joints are (`joints`, or `betas` and whose they are). docs/avatars.md has the fields.
 """
 
 from __future__ import annotations
@@ -14,19 +15,20 @@ import tyro
 from gn0.config import Config
 
 EXAMPLES = """  gn0 avatar import lhm/person.ply --out out/person.npz
+  gn0 avatar import person.glb --out out/person.npz
   gn0 avatar import lhm/person.ply --body SMPLX_NEUTRAL.npz --out out/person.npz"""
 
 
 class Args(Config, frozen=True):
-    """The splats, and where the avatar goes.
+    """The person, and where the avatar goes.
 
     Attributes:
-        source: splats of a person in T-pose.
+        source: splats of a person in T-pose, or a .glb or .gltf with a skin.
         out: the avatar's file.
         body: a SMPL-X body, where the binding names a shape of it and no joints.
     """
 
-    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SPLATS")]
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PERSON")]
     out: str
     body: str = ""
 
@@ -35,12 +37,17 @@ def run(args: Args) -> int:
     """Read, write, say what it is."""
     from gn0.avatars.bank import save_avatar
     from gn0.avatars.body_file import load_smplx_body
+    from gn0.avatars.glb_person import load_glb_person
     from gn0.avatars.splat_person import load_splat_person
     from gn0.storage import check_writable
 
     check_writable(args.out)
-    body = load_smplx_body(args.body) if args.body else None
-    avatar = save_avatar(args.out, load_splat_person(args.source, body=body))
+    if Path(args.source).suffix.lower() in (".glb", ".gltf"):
+        found = load_glb_person(args.source)
+    else:
+        body = load_smplx_body(args.body) if args.body else None
+        found = load_splat_person(args.source, body=body)
+    avatar = save_avatar(args.out, found)
     print(f"{len(avatar):,} splats on a body of {avatar.shape_space}, licence {avatar.licence}")
     print(f"written to {args.out}; look at it: gn0 avatar show {Path(args.out)}")
     return 0

@@ -17,7 +17,8 @@ import msgspec
 
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
-from gn0.avatars.detail import SHARES, build_levels
+from gn0.avatars.detail import GRAIN, SHARES, build_levels
+from gn0.avatars.held import BOX_SPACING, HELD, hold_thing
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
 from gn0.avatars.person import build_person
@@ -48,6 +49,17 @@ class Actor:
     levels: tuple[Avatar, ...]
     _libraries: dict[float, ClipLibrary] = field(default_factory=dict)
     _seats: dict[float, float] = field(default_factory=dict)
+    _holding: dict[tuple[str, int], Avatar] = field(default_factory=dict)
+
+    def level(self, number: int, clip: str = "") -> Avatar:
+        """A level of detail, with what hands hold in a clip."""
+        if clip not in HELD:
+            return self.levels[number]
+        key = HELD[clip], number
+        if key not in self._holding:
+            spacing = BOX_SPACING * GRAIN[number] / GRAIN[0]
+            self._holding[key] = hold_thing(self.levels[number], clip, spacing)
+        return self._holding[key]
 
     def library(self, seat: float) -> ClipLibrary:
         """Its clips, those of sitting on a seat of a height [m]."""

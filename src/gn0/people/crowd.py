@@ -27,10 +27,14 @@ from gn0.people.reach import (
     CLAIM0,
     CLIP_SINCE,
     DIRECTION,
+    FX,
+    FY,
     HX,
     HY,
     NOBODY,
     REALS,
+    SETTLE,
+    TURN_SINCE,
     WHOLES,
     X0,
     Y0,
@@ -132,6 +136,8 @@ def place_rows(real, whole, route, routes, row, numbers):  # type: ignore[no-unt
         whole[row, p, BLOCKED_BY] = NOBODY
         whole[row, p, CLIP_SINCE] = LONG_AGO
         whole[row, p, CLAIM] = whole[row, p, CLAIM0] = routes.table[r, 7]
+        real[row, p, FX], real[row, p, FY] = routes.lines[r, 2], routes.lines[r, 3]
+        whole[row, p, TURN_SINCE] = SETTLE
 
 
 def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:

@@ -12,9 +12,10 @@ from gn0.people.route import BRAKE
 
 # float64 columns: place, place a tick ago [m]; unit vector of heading; speed [m/s]; way along the
 # path from its start [m]; distance walked since the episode began [m], which is the gait's phase;
-# what is left of the stop in progress [s]
-X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED, HOLD_LEFT = range(10)
-REALS = 10
+# what is left of the stop in progress [s]; unit vector of the way that feet stand, which is another
+# than the heading while one turns on the spot
+X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED, HOLD_LEFT, FX, FY = range(12)
+REALS = 12
 # int64 columns
 MODE = 0  # ON_PATH, ROUND or ARRIVED
 PIECE = 1  # of the path, counted from its first point
@@ -33,7 +34,8 @@ PRESSED = 13  # ticks that it has stood on its right of way
 CLAIM = 14  # its right of way: its own, or while it yields that of whom it yields to
 CLAIM0 = 15  # the same a tick ago, which others read
 LENT_LEFT = 16  # ticks that a claim is still lent to it
-WHOLES = 17
+TURN_SINCE = 17  # ticks since who stands turned; feet that stand another way step after it
+WHOLES = 18
 
 ON_PATH, ROUND, ARRIVED = 0, 1, 2
 STILL, WALK = 0, 1
@@ -55,6 +57,9 @@ LEAVE = 0.5  # m more that one stays away from who has the right of way
 STEADY = 0.15  # m of gap that it is worth not to turn, making room
 RIVAL = 0.45  # m between two bodies, from which they dispute a way
 BACK_SECONDS = 5  # s of walking back before one turns again
+PIVOT_COS = 0.7071067811865476  # of 45 degrees, after which both feet have stepped once
+PIVOT_LAG = 4  # ticks of walking until feet are those of the walk
+SETTLE = 8  # ticks in which feet step after a body that has stopped turning
 ROOM = 0.06  # m that one keeps from others while one goes round
 SQUEEZE = 0.01  # m that one keeps from others who has tried both ways
 HOME = 0.3  # m from the path, from where one walks straight back to it

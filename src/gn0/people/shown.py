@@ -2,7 +2,9 @@
 
 All that a posed cloud depends on is in a key of few values, so that clouds can be kept: phases of
 64 a cycle, frames of two fifths of a second, quarters of blends, five looks. Who walks is
-drawn where its phase says, at most 1.2 cm from where it is, so that a planted foot stays put.
+drawn where its phase says, at most 1.2 cm from where it is, so that a planted foot stays put. Who
+turns on the spot steps by the angle that is turned, 32 phases for 45 degrees, and is drawn as its
+feet stand.
 """
 
 from __future__ import annotations
@@ -14,14 +16,35 @@ from typing import NamedTuple
 import numpy as np
 
 from gn0.avatars.avatar import Avatar
+from gn0.avatars.held import HELD
 from gn0.avatars.motion.gait import PHASES, SPEEDS
-from gn0.avatars.motion.library import LOOKS, look_class, speed_class, turn_head
+from gn0.avatars.motion.library import (
+    LOOKS,
+    PIVOTS,
+    SETTLES,
+    look_class,
+    speed_class,
+    turn_head,
+)
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
+from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.people.cast import Actor
 from gn0.people.person import EpisodePerson
-from gn0.people.reach import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
+from gn0.people.reach import (
+    CLIP,
+    CLIP_SINCE,
+    FX,
+    FY,
+    HX,
+    HY,
+    TURN_SINCE,
+    WALK,
+    WALKED,
+    X,
+    Y,
+)
 from gn0.people.route import I64
 from gn0.seeds import derive_seed
 
@@ -30,13 +53,15 @@ _BLEND = 4  # ticks that one clip goes over into another
 _PAUSE = 5.0  # s between gestures of who stands
 _NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at
 _STRAIGHT = look_class(0.0)
+_BY_ROW = ("walk", *PIVOTS, *SETTLES)
 
 
 class Shown(NamedTuple):
     """All that a person's posed cloud depends on, besides who it is and its level of detail.
 
     Attributes:
-        clip, frame: what it does, and the frame of it; of a walk the phase, 0 to 63.
+        clip, frame: what it does, and the frame of it; of a walk the phase, 0 to 63; of a turn on
+            the spot the row.
         other, other_frame: what it did before, and there; "" where nothing blends.
         quarter: quarters of the blend that are over.
         speed: class of the walk; look: class of the head's yaw; seat: height [m].
@@ -68,7 +93,7 @@ def show_person(
     seed = derive_seed(person.seed, "looks")
     since = int(whole[CLIP_SINCE])
     hx, hy = float(real[HX]), float(real[HY])
-    forward = 0.0
+    forward, pivot = 0.0, None
     clip, frame, other, other_frame, quarter = "", 0, "", 0, _BLEND
     gait = speed_class(person.speed)
     if person.behaviour == "sit":
@@ -81,29 +106,54 @@ def show_person(
         stride = library.clip("walk", person.speed).stride
         cycles = float(real[WALKED]) / stride
         phase = round(cycles * PHASES)
-        idle = IDLES[seed % len(IDLES)]
-        if whole[CLIP] == WALK:
-            clip, frame, other = "walk", phase % PHASES, idle
+        pivot = _pivot(real, whole)
+        if pivot is None:
+            still, frame = IDLES[seed % len(IDLES)], _frame(0.1 * max(since - _BLEND, 0))
         else:
-            clip, other, other_frame = idle, "walk", phase % PHASES
-            frame = _frame(0.1 * max(since - _BLEND, 0))
+            still, frame = pivot
+        if whole[CLIP] == WALK:
+            clip, other, other_frame = "walk", still, frame if pivot else 0
+            frame = phase % PHASES
+        else:
+            clip, other, other_frame = still, "walk", phase % PHASES
         if since < _BLEND - 1:
             quarter = since + 1
         else:
             other, other_frame = "", 0
-        forward = (phase / PHASES - cycles) * stride
+        # who stands is where it is: what the phase of a walk was off by would turn with it
+        walks = min(since + 1, _BLEND) / _BLEND
+        walks = walks if whole[CLIP] == WALK else 1.0 - walks
+        forward = walks * (phase / PHASES - cycles) * stride
     if clip not in GESTURES:  # a frame of a loop, or held at its end
-        frame = frame if clip == "walk" else library.clip(clip).row(frame / FPS)
+        frame = frame if clip in _BY_ROW else library.clip(clip).row(frame / FPS)
     look = _STRAIGHT
     if eye is not None:
         dx, dy = eye[0] - float(real[X]), eye[1] - float(real[Y])
         yaw = math.atan2(hx * dy - hy * dx, hx * dx + hy * dy)
         if dx * dx + dy * dy < _NEAR * _NEAR and abs(yaw) < _SIDE:
             look = look_class(yaw)
+    if clip in PIVOTS or clip in SETTLES:  # feet stand as they stood, to the row
+        row = frame if clip in PIVOTS else frame // SETTLE_ROWS
+        turn = (1 if clip in (PIVOTS[0], SETTLES[0]) else -1) * row * PIVOT / PIVOT_ROWS
+        fx, fy, c, s = float(real[FX]), float(real[FY]), math.cos(turn), math.sin(turn)
+        hx, hy = fx * c - fy * s, fx * s + fy * c
     pose = np.eye(4)
     pose[:2, :2] = (hx, -hy), (hy, hx)
     pose[0, 3], pose[1, 3] = real[X] + hx * forward, real[Y] + hy * forward
     return Shown(clip, frame, other, other_frame, quarter, gait, look, person.seat), pose
+
+
+def _pivot(real: F64, whole: I64) -> tuple[str, int] | None:
+    """Clip and row of who stands, or stood until now, on feet that stand another way."""
+    hx, hy, fx, fy = (float(real[k]) for k in (HX, HY, FX, FY))
+    turned = math.atan2(fx * hy - fy * hx, fx * hx + fy * hy)
+    row = min(round(abs(turned) / PIVOT * PIVOT_ROWS), PIVOT_ROWS)
+    side, settled = int(turned < 0.0), int(whole[TURN_SINCE])
+    if row == 0:
+        return None
+    if settled == 0:
+        return PIVOTS[side], row
+    return SETTLES[side], row * SETTLE_ROWS + min(settled, SETTLE_ROWS) - 1
 
 
 def _frame(seconds: float) -> int:
@@ -141,12 +191,12 @@ class PoseShown:
     @property
     def avatar(self) -> Avatar:
         """The actor at the level of detail."""
-        return self.actor.levels[self.level]
+        return self.actor.level(self.level, self.shown.clip)
 
     @property
-    def rest_key(self) -> tuple[str, int]:
-        """Of the avatar."""
-        return self.actor.digest, self.level
+    def rest_key(self) -> tuple[str, int, str]:
+        """Of the avatar, and of what its hands hold."""
+        return self.actor.digest, self.level, HELD.get(self.shown.clip, "")
 
     def turn(self) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m."""
@@ -155,7 +205,7 @@ class PoseShown:
 
 def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
     """The posed cloud of a key, at a level of detail."""
-    return actor.levels[level].pose(*turn_shown(actor, shown))
+    return actor.level(level, shown.clip).pose(*turn_shown(actor, shown))
 
 
 def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
@@ -165,7 +215,7 @@ def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
     if shown.other:
         before = (shown.other, _at(shown.other, shown.other_frame), speed)
         share = float(ease(np.asarray(shown.quarter / _BLEND)))
-        pose, shift = library.blend_at(before, now, share)
+        pose, shift = library.blend_at(before, now, share, steps=True)
     else:
         pose, shift = library.pose_at(*now)
     if shown.look != _STRAIGHT:

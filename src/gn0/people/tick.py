@@ -26,6 +26,8 @@ from gn0.people.reach import (
     CLOSE,
     COMFORT,
     DIRECTION,
+    FX,
+    FY,
     HOLD,
     HOLD_LEFT,
     HX,
@@ -37,12 +39,16 @@ from gn0.people.reach import (
     NOBODY,
     ON_PATH,
     PIECE,
+    PIVOT_COS,
+    PIVOT_LAG,
     ROUND,
     ROUND_TICKS,
+    SETTLE,
     SIDE,
     SIGHT,
     SPEED,
     STILL,
+    TURN_SINCE,
     WAIT,
     WALK,
     WALKED,
@@ -75,6 +81,7 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
         if r < 0:
             continue
         was = whole[e, p, CLIP]
+        hx, hy = real[e, p, HX], real[e, p, HY]
         if routes.table[r, 5] == SCRIPT:
             whole[e, p, BLOCKED_BY] = NOBODY
             if whole[e, p, BACK_LEFT] > 0:
@@ -100,6 +107,35 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
             whole[e, p, CLIP_SINCE] = 0
         else:
             whole[e, p, CLIP_SINCE] += 1
+        _place_feet(real, whole, e, p, hx, hy)
+
+
+@njit_borrowing(forceinline=True)
+def _place_feet(real, whole, e, p, hx, hy):
+    """Which way feet stand after a tick that began with a heading; decides on nothing but looks."""
+    x, y = real[e, p, HX], real[e, p, HY]
+    if whole[e, p, CLIP] == WALK:
+        if whole[e, p, CLIP_SINCE] >= PIVOT_LAG:
+            real[e, p, FX], real[e, p, FY] = x, y
+            whole[e, p, TURN_SINCE] = SETTLE
+        return
+    if x != hx or y != hy:
+        if whole[e, p, TURN_SINCE] >= SETTLE // 2:
+            real[e, p, FX], real[e, p, FY] = hx, hy
+        whole[e, p, TURN_SINCE] = 0
+    elif whole[e, p, TURN_SINCE] < SETTLE:
+        whole[e, p, TURN_SINCE] += 1
+        if whole[e, p, TURN_SINCE] == SETTLE:
+            real[e, p, FX], real[e, p, FY] = x, y
+    fx, fy = real[e, p, FX], real[e, p, FY]
+    for _ in range(4):
+        if fx * x + fy * y > PIVOT_COS:
+            break
+        side = PIVOT_COS if fx * y - fy * x >= 0.0 else -PIVOT_COS
+        fx, fy = fx * PIVOT_COS - fy * side, fx * side + fy * PIVOT_COS
+        size = math.sqrt(fx * fx + fy * fy)
+        fx, fy = fx / size, fy / size
+        real[e, p, FX], real[e, p, FY] = fx, fy
 
 
 @njit_borrowing(forceinline=True)

@@ -132,6 +132,88 @@ class _Keys:
         return first + (last - first) * u
 
 
+@dataclass(frozen=True, eq=False)
+class GltfRest:
+    """A glTF as its largest skin was bound.
+
+    Attributes:
+        rig: the joints of it and all nodes above them, still, in one frame.
+        nodes: node of each joint of the rig [J].
+        frames: matrices of those joints to the scene [J, 4, 4], as they were bound.
+        above: parent of each node that has one.
+        locals: matrix of every node in its parent's axes [M, 4, 4].
+        skins: node of each joint of each skin, and number of its inverse bind matrices.
+        document, buffers, source, text: the file: its tables, its bytes, itself, its JSON.
+    """
+
+    rig: RigMotion
+    nodes: tuple[int, ...]
+    frames: F64
+    above: dict[int, int]
+    locals: F64
+    skins: tuple[tuple[tuple[int, ...], int | None], ...]
+    document: GltfDocument
+    buffers: list[GltfBuffer]
+    source: FileSource
+    text: bytes
+
+
+def open_gltf_rest(data: bytes, file: Path | str, stack: ExitStack) -> GltfRest:
+    """A glTF as it was bound, whether it has clips or not.
+
+    Args:
+        data: the bytes of a .glb or .gltf.
+        file: its name; buffers beside it are found from there.
+        stack: closes its buffers.
+
+    Raises:
+        FormatError: damaged, no skin, joints in a loop, or more than it can hold.
+    """
+    source = open_source(data, file)
+    text, binary = _chunks(source)
+    _check_text(text, source)
+    document, rig = _decode(text, GltfDocument, source), _decode(text, _Rig, source)
+    if not rig.skins:
+        raise source.refuse(
+            "has no skin that says which joints carry it", None, field="skins",
+            remedy="bind it to a humanoid skeleton, and export it with its skin",
+        )  # fmt: skip
+    buffers = _open_buffers(document, source, binary, stack)
+
+    def rows(number: int, width: int, field: str) -> F64:
+        found = find_rows(document, buffers, number, (width,), field, source)
+        if found.count * width > _RATIO:
+            raise source.refuse(f"accessor {number} of {found.count} rows is not read", field=field)
+        return as_numbers(found.read(0, found.count))
+
+    skin = max(rig.skins, key=lambda skin: len(skin.joints))
+    if not 1 <= len(skin.joints) <= JOINT_LIMIT:
+        raise source.refuse(
+            f"a skin of {len(skin.joints)} joints is not read (1 to {JOINT_LIMIT} are)", None,
+            field="skins.joints",
+        )  # fmt: skip
+    order, above = _joint_order(rig, skin, source)
+    still = np.zeros(1)
+    local = np.concatenate([_matrices(rig, k, {}, still, source) for k in range(len(rig.nodes))])
+    at_rest: dict[int, F64] = {}
+    for node in order:
+        higher = at_rest[above[node]] if node in above else np.eye(4)[None]
+        at_rest[node] = higher @ local[node][None]
+    frames, notes = _rest(rig, skin, order, at_rest, rows, source)
+    parents = tuple(order.index(above[node]) if node in above else -1 for node in order)
+    turns = nearest_rotations(frames[:, :3, :3])
+    quats, steps = local_frames(parents, turns[None], frames[None, :, :3, 3])
+    found = RigMotion(
+        names=tuple(rig.nodes[node].name[:200] or f"node {node}" for node in order),
+        parents=parents, rest_rotations=turns, rest_positions=frames[:, :3, 3], quats=quats,
+        translations=steps, fps=_STANDARD_FPS, metres=1.0, up="y", notes=tuple(notes),
+    )  # fmt: skip
+    skins = tuple((tuple(one.joints), one.inverseBindMatrices) for one in rig.skins)
+    return GltfRest(
+        found, tuple(order), frames, above, local, skins, document, buffers, source, text
+    )
+
+
 def decode_gltf_motion(
     data: bytes, file: Path | str, clip: str | None = None
 ) -> tuple[RigMotion, tuple[str, ...]]:

@@ -38,7 +38,15 @@ from gn0.avatars.motion.standing import (
     plan_seated,
     plan_sitting_down,
 )
-from gn0.avatars.motion.stepping import plan_aside, plan_start, plan_stop, plan_turn
+from gn0.avatars.motion.stepping import (
+    plan_aside,
+    plan_pivot,
+    plan_settle,
+    plan_start,
+    plan_stop,
+    plan_turn,
+    step_plans,
+)
 from gn0.avatars.motion.turns import about_axis, multiply, quats_of, vectors_of_quats
 from gn0.avatars.skeleton import INDEX
 from gn0.errors import DataError
@@ -51,6 +59,10 @@ CATEGORIES: dict[str, str] = {
     "sit": "sit", "stand_up": "stand up", **{name: name for name in BUSY}, "carry": "walk",
 }  # fmt: skip
 CLIPS = tuple(CATEGORIES)
+# rows of these go by the angle that somebody turned: parts of a turn of any length
+PIVOTS = ("pivot_left", "pivot_right")
+SETTLES = ("settle_left", "settle_right")
+CATEGORIES |= dict.fromkeys((*PIVOTS, *SETTLES), "turn")
 LOOPS = frozenset({"walk", "run", "carry", "sit", *IDLES, *BUSY})
 BY_DISTANCE = frozenset({"walk", "run", "carry"})
 BY_SPEED = frozenset({"walk", "carry", "start", "stop"})
@@ -188,6 +200,10 @@ class ClipLibrary:
         elif name in ("sit_down", "stand_up"):
             plan = plan_sitting_down(build, style, self.seat)
             plan = plan if name == "sit_down" else plan.rows(slice(None, None, -1))
+        elif name in PIVOTS:
+            plan = plan_pivot(build, style, PIVOTS.index(name))
+        elif name in SETTLES:
+            plan = plan_settle(build, style, SETTLES.index(name))
         elif name.startswith("turn"):
             plan = plan_turn(build, style, TURN if name == "turn_left" else -TURN)
         else:
@@ -228,11 +244,19 @@ class ClipLibrary:
         first: tuple[str, float, float],
         second: tuple[str, float, float],
         share: float,
+        *,
+        steps: bool = False,
     ) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m between two clips, each (name, at, speed).
 
         Take `standing.ease(t / T)` of a blend of T seconds as its `share`. Feet that stand in both
         stay; of two walks take phases that `aligned_phase` gives, while one foot stands.
+
+        Args:
+            first: clip that is left.
+            second: clip that is taken up.
+            share: of the way, 0 to 1.
+            steps: feet that stand elsewhere step there one after the other, and do not slide.
 
         Raises:
             DataError: no clip of that name.
@@ -241,7 +265,8 @@ class ClipLibrary:
         for name, at, speed in (first, second):
             clip = self.clip(name, speed)
             plans.append(_between(clip, at))
-        poses, shift = solve_plan(self.build, mix_plans(plans[0], plans[1], share))
+        mix = step_plans if steps else mix_plans
+        poses, shift = solve_plan(self.build, mix(plans[0], plans[1], share))
         return poses[0], shift[0]
 
     def aligned_phase(self, phase: float, speed: float, other: float) -> float:

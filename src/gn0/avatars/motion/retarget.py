@@ -90,7 +90,7 @@ def retarget(rig: RigMotion, joints: NDArray[np.floating], file: Path | str = ""
         )
     notes.append(_unit_note(rig, source_hips))
     ends = bone_ends(known)
-    offsets = _offsets(rig, known, rest, to_rest, ends)
+    offsets = rest_offsets(rig, known, rest, to_rest, ends)
     poses = np.empty((len(rig), JOINT_COUNT, 3))
     way = np.empty((len(rig), 3))
     for first in range(0, len(rig), _BLOCK):
@@ -191,7 +191,7 @@ def _poses(
     return poses
 
 
-def _offsets(
+def rest_offsets(
     rig: RigMotion, known: JointMap, rest: F64, to_rest: F64, ends: dict[int, int]
 ) -> dict[int, F64]:
     """O of each joint that has one [3, 3]; a hand keeps that of its forearm."""

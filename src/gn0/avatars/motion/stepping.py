@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.avatars.motion.gait import (
     Gait,
@@ -174,7 +175,6 @@ def plan_steps(build: Build, style: Style, steps: tuple[Footfall, ...], seconds:
     count = round(seconds * FPS) + 1
     t = np.arange(count) / FPS
     plan = plan_stance(build, style, count)
-    home = plan.ankles[0].copy()
     place, facing = np.zeros((count, 2, 2)), np.zeros((count, 2))
     lift, stands = np.zeros((count, 2)), np.ones((count, 2), bool)
     for step in steps:
@@ -186,12 +186,30 @@ def plan_steps(build: Build, style: Style, steps: tuple[Footfall, ...], seconds:
         facing[:, k] += part * turned
         lift[:, k] += 0.05 * (1.0 - (2.0 * np.clip(u, 0, 1) - 1.0) ** 4)
         stands[:, k] &= (u <= 0.0) | (u >= 1.0)
+    return _stand_on(build, style, plan, place, facing, lift, stands, facing.mean(axis=1))
+
+
+def _stand_on(
+    build: Build,
+    style: Style,
+    plan: Plan,
+    place: F64,
+    facing: F64,
+    lift: F64,
+    stands: NDArray[np.bool_],
+    heading: F64,
+    *,
+    smooth: bool = True,
+) -> Plan:
+    """Somebody on feet that are moved [T, 2, 2] m, turned [T, 2] rad and lifted [T, 2] m."""
+    home = plan.ankles[0].copy()
     offsets = np.einsum("tkab,kb->tka", matrices_of(about_axis("y", facing)), home)
     ankles = offsets + np.stack([place[..., 0], lift, place[..., 1]], axis=-1)
     yaw = facing + SIGN * style.toe_out
-    middle, heading = place.mean(axis=1), facing.mean(axis=1)
+    middle = place.mean(axis=1)
     # weight goes over the foot that stands
-    aside = _smooth(0.3 * (lift[:, 1] - lift[:, 0])) * home[0, 0] / 0.05
+    aside = 0.3 * (lift[:, 1] - lift[:, 0])
+    aside = (_smooth(aside) if smooth else aside) * home[0, 0] / 0.05
     across = matrices_of(about_axis("y", heading))[:, :, 0]
     pelvis = plan.pelvis.copy()
     pelvis[:, 0] += middle[:, 0] + aside * across[:, 0]
@@ -229,3 +247,76 @@ def plan_aside(build: Build, style: Style, side: int, way: float = 0.4) -> Plan:
     x = SIGN[side] * way
     steps = (Footfall(side, 0.15, 0.60, x, 0.0, 0.0), Footfall(1 - side, 0.62, 1.12, x, 0.0, 0.0))
     return plan_steps(build, style, steps, 1.3)
+
+
+PIVOT = np.pi / 4  # that a body turns while both feet step once [rad]
+PIVOT_ROWS = 32  # of a pivot, and one more at its end
+SETTLE_ROWS = 8  # in which feet step after a body that stopped at any of those
+_SWINGS = ((0.06, 0.46), (0.54, 0.94))  # of a pivot, of the foot that goes first and the other
+_PIVOT_LIFT = 0.035  # m
+
+
+def plan_pivot(build: Build, style: Style, side: int) -> Plan:
+    """A turn on the spot by `PIVOT` to the left (0) or right (1), by the angle that is turned.
+
+    Of `PIVOT_ROWS` + 1 rows; the body looks ahead in all of them, and feet turn under it.
+    """
+    turned = np.arange(PIVOT_ROWS + 1) / PIVOT_ROWS
+    facing, lift = _pivot_feet(turned, side)
+    return _turn_on(build, style, side, turned, facing, lift)
+
+
+def plan_settle(build: Build, style: Style, side: int) -> Plan:
+    """Feet step after a body that stopped within a pivot: `SETTLE_ROWS` rows for each of its rows.
+
+    The foot that is in the air, or that stands more to the side, goes first.
+    """
+    turned = np.repeat(np.arange(PIVOT_ROWS + 1) / PIVOT_ROWS, SETTLE_ROWS)
+    facing, lift = _pivot_feet(turned, side)
+    since = np.tile((np.arange(SETTLE_ROWS) + 1.0) / SETTLE_ROWS, PIVOT_ROWS + 1)
+    away = np.abs(facing - turned[:, None]) + 10.0 * lift
+    late = (away < away[:, ::-1]) | ((away == away[:, ::-1]) & [False, True])
+    u = np.clip(2.0 * since[:, None] - late, 0.0, 1.0)
+    goes = np.abs(facing - turned[:, None]) > 0.02
+    facing = facing + ease(1.4 * u - 0.2) * (turned[:, None] - facing)
+    step = 0.8 * _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * goes
+    lift = np.maximum(lift * (1.0 - ease(u)), step)
+    return _turn_on(build, style, side, turned, facing, lift)
+
+
+def _pivot_feet(turned: F64, side: int) -> tuple[F64, F64]:
+    """How far feet are turned and lifted [m] in a pivot that is so far on [T], each [T, 2]."""
+    facing, lift = np.empty((len(turned), 2)), np.empty((len(turned), 2))
+    for k, (start, stop) in zip((side, 1 - side), _SWINGS, strict=True):
+        u = np.clip((turned - start) / (stop - start), 0.0, 1.0)
+        facing[:, k] = ease(1.4 * u - 0.2)
+        lift[:, k] = _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4)
+    return facing, lift
+
+
+def _turn_on(build: Build, style: Style, side: int, turned: F64, facing: F64, lift: F64) -> Plan:
+    """A body over feet that are behind it or before it, in pivots to a side."""
+    plan = plan_stance(build, style, len(turned))
+    under = (PIVOT if side == 0 else -PIVOT) * (facing - turned[:, None])
+    none = np.zeros(len(turned))
+    return _stand_on(
+        build, style, plan, np.zeros((len(turned), 2, 2)), under, lift, lift <= 1e-9, none,
+        smooth=False,
+    )  # fmt: skip
+
+
+def step_plans(first: Plan, second: Plan, share: float) -> Plan:
+    """The `share` (0..1) of the way between plans [1], one foot after the other, and lifted."""
+    mixed = mix_plans(first, second, share)
+    away = np.linalg.norm((second.ankles - first.ankles)[0], axis=1)
+    early = 0 if bool(first.stands[0, 0]) < bool(first.stands[0, 1]) else 1
+    if first.stands[0, 0] == first.stands[0, 1]:
+        early = int(away[1] > away[0])
+    for k in (0, 1):
+        u = float(np.clip(2.0 * share - (k != early), 0.0, 1.0))
+        foot = mix_plans(first, second, float(ease(np.asarray(u))))
+        for name in ("ankles", "feet", "toes", "knees", "stands"):
+            getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]
+        lift = _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * min(away[k] / 0.05, 1.0)
+        mixed.ankles[:, k, 1] += lift
+    return mixed

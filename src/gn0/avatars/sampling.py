@@ -94,7 +94,7 @@ def spread_points(
     least = points.spacing * np.sqrt(_FILL)
     keep = _throw(place, least)
     if not len(keep):
-        return points.select(keep)
+        return replace(points.select(keep), cell=np.empty((0, 3, 3)))
     cell, low, size = _grid(place, least)
     owner = np.empty(len(place), np.int64)
     for _ in range(_ROUNDS):

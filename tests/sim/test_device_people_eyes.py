@@ -79,6 +79,7 @@ def open_device_env(episodes, bank, preset, count=3, sensors=("rgb", "depth"), *
 def check_shown(env, cast, episodes, infos) -> list[Shown]:
     """Codes and poses are those of the host; how each is shown who is seen."""
     eyes, count, there = env._eyes.people, len(episodes), []
+    sizes: dict[tuple[str, int, str], int] = {}  # of avatars at rest, which poses of one key share
     real, whole = (env.simulator.company.read_state(n) for n in ("real", "whole"))
     codes = eyes._shown[0].numpy().reshape(count, -1)
     poses = eyes._shown[1].numpy().reshape(count, -1, 4, 4)
@@ -96,7 +97,9 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
             found = eyes.read_code(int(codes[i, p]))
             assert found.shown == want
             assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
-            assert (len(found.avatar) > len(actor.levels[found.level])) == (want.clip == "hold")
+            size = len(found.avatar)
+            assert sizes.setdefault(found.rest_key, size) == size
+            assert (size > len(actor.levels[found.level])) == (want.clip == "hold")
             np.testing.assert_array_equal(poses[i, p], pose)
             there.append(want)
     return there

@@ -14,8 +14,8 @@ from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import AgentSpec, Episode, MissionGoal
 from gn0.people.cast import Cast
-from gn0.people.person import EpisodePerson
-from gn0.people.shown import show_person
+from gn0.people.person import EpisodePerson, PersonStop
+from gn0.people.shown import Shown, show_person
 from gn0.render import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.scenes import build_example_scene
@@ -39,7 +39,7 @@ def bank(tmp_path_factory) -> AvatarBank:
 
 @pytest.fixture(scope="module")
 def episodes(bank) -> list[Episode]:
-    """Who walks to and fro, stands, waves and sits, before agents that look their way; nobody."""
+    """Who walks to and fro, stands, waves, sits and holds a box, before agents; and nobody."""
     (name, *_) = sorted(bank.names)
     goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
 
@@ -50,7 +50,8 @@ def episodes(bank) -> list[Episode]:
     idle = somebody(2, (4.2, 2.4), behaviour="stand", yaw=1.0)
     waver = somebody(3, (3.4, 3.7), behaviour="stand", clip="wave", yaw=-2.0)
     sitter = somebody(4, (4.4, 3.0), behaviour="sit", yaw=3.0, seat=0.5)
-    groups = (("all", (walker, idle, waver, sitter)), ("one", (walker,)), ("none", ()))
+    holder = somebody(3, (3.4, 3.7), behaviour="stand", clip="hold", yaw=-2.5)
+    groups = (("all", (walker, idle, waver, sitter)), ("one", (walker, holder)), ("none", ()))
     return [
         Episode(
             id=title, scene_id=FLAT.id, mission=goal, start=(2.0, 2.5, 0.1 * k),
@@ -75,35 +76,86 @@ def open_device_env(episodes, bank, preset, count=3, sensors=("rgb", "depth"), *
     )  # fmt: skip
 
 
+def check_shown(env, cast, episodes, infos) -> list[Shown]:
+    """Codes and poses are those of the host; how each is shown who is seen."""
+    eyes, count, there = env._eyes.people, len(episodes), []
+    sizes: dict[tuple[str, int, str], int] = {}  # of avatars at rest, which poses of one key share
+    real, whole = (env.simulator.company.read_state(n) for n in ("real", "whole"))
+    codes = eyes._shown[0].numpy().reshape(count, -1)
+    poses = eyes._shown[1].numpy().reshape(count, -1, 4, 4)
+    for i, episode in enumerate(episodes):
+        x, y, yaw = infos["pose"].numpy()[i]
+        assert not codes[i, len(episode.people) :].any()
+        for p, person in enumerate(episode.people):
+            away = real[i, p, :2] - (x, y)
+            seen = away @ (np.cos(yaw), np.sin(yaw)) >= -1.0
+            assert bool(codes[i, p]) == seen
+            if not seen:
+                continue
+            actor = cast.find(person.identity)
+            want, pose = show_person(person, actor, real[i, p], whole[i, p], (x, y))
+            found = eyes.read_code(int(codes[i, p]))
+            assert found.shown == want
+            assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
+            size = len(found.avatar)
+            assert sizes.setdefault(found.rest_key, size) == size
+            assert (size > len(actor.levels[found.level])) == (want.clip == "hold")
+            np.testing.assert_array_equal(poses[i, p], pose)
+            there.append(want)
+    return there
+
+
 def test_codes_say_what_the_host_shows(episodes, bank, preset) -> None:
     """Clip, frame, blend, look and level of each, and where it stands, over 24 steps."""
     env, cast = open_device_env(episodes, bank, preset), Cast(bank)
     names = [e.id for e in episodes]
     env.reset(seed=0, options={"episode": names})
-    eyes, clips = env._eyes.people, set()
+    clips = set()
     for row in np.random.default_rng(0).choice([1, 2, 3], (24, 3)):
-        _, _, _, _, infos = env.step(row)
-        real, whole = (env.simulator.company.read_state(n) for n in ("real", "whole"))
-        codes = eyes._shown[0].numpy().reshape(3, -1)
-        poses = eyes._shown[1].numpy().reshape(3, -1, 4, 4)
-        for i, episode in enumerate(episodes):
-            x, y, yaw = infos["pose"].numpy()[i]
-            assert not codes[i, len(episode.people) :].any()
-            for p, person in enumerate(episode.people):
-                away = real[i, p, :2] - (x, y)
-                seen = away @ (np.cos(yaw), np.sin(yaw)) >= -1.0
-                assert bool(codes[i, p]) == seen
-                if not seen:
-                    continue
-                want, pose = show_person(
-                    person, cast.find(person.identity), real[i, p], whole[i, p], (x, y)
-                )
-                found = eyes.read_code(int(codes[i, p]))
-                assert found.shown == want
-                assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
-                np.testing.assert_array_equal(poses[i, p], pose)
-                clips.add(want.clip)
-    assert {"walk", "wave", "sit"} < clips
+        infos = env.step(row)[4]
+        clips |= {shown.clip for shown in check_shown(env, cast, episodes, infos)}
+    assert {"walk", "wave", "sit", "hold"} < clips
+
+
+def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -> None:
+    """To both sides, from walks into turns, feet that come after, and walks that begin from them.
+
+    Looks alone: nobody is posed or drawn.
+    """
+    (name, *_) = sorted(bank.names)
+    goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
+    looks = ((1.0, 75.0, 3.0), (1.4, -70.0, 2.0), (1.4, 0.0, 1.1), (1.7, 50.0, 0.5))
+    episodes = [
+        Episode(
+            id=f"turns-{k}", scene_id=FLAT.id, mission=goal, start=(3.0, 1.5, 1.57),
+            path=((3.0, 1.5), goal.goal),
+            people=(
+                EpisodePerson(
+                    number=1, identity=name, path=((1.3, 2.5), (3.4, 2.5)), seed=k, after="back",
+                    speed=0.6 + 0.2 * k, stops=tuple(
+                        PersonStop(at=at, seconds=seconds, look=(look, -look)[k])
+                        for at, look, seconds in looks
+                    ),
+                ),
+            ),
+        )
+        for k in range(2)
+    ]  # fmt: skip
+    env, cast = open_device_env(episodes, bank, preset, count=2, sensors=("rgb",)), Cast(bank)
+    env.reset(options={"episode": [e.id for e in episodes]})
+    drawn, people = env._eyes.draw(env.simulator), env._eyes.people
+    monkeypatch.setattr(people.posed, "find", lambda *_: 0)
+    monkeypatch.setattr(env._eyes, "draw", lambda simulator: people.show(simulator) and drawn)
+    alone, blends = set(), set()
+    for k in range(120):
+        infos = env.step(np.full(2, 2 + k % 2))[4]
+        for shown in check_shown(env, cast, episodes, infos):
+            if shown.other:
+                blends.add((shown.other[:6], shown.clip[:6]))
+            else:
+                alone.add(shown.clip)
+    assert {"pivot_left", "pivot_right", "settle_left", "settle_right", "walk"} < alone
+    assert {("pivot_", "walk"), ("settle", "walk"), ("walk", "pivot_")} <= blends
 
 
 def test_light_is_that_of_the_scene_s_probes(episodes, bank, preset) -> None:

@@ -79,11 +79,11 @@ class FollowingDevice(CompanyDevice):
     def place(self, slots: DeviceArray, out: np.void) -> None:
         """See `CompanyDevice`."""
         placing = PlaceFollowing(self._simulator.world, self.crowd, self._following, slots, out)
-        self.launch("place_following", placing)
+        self.run("place_following", placing)
 
     def step(self, codes: DeviceArray, out: np.void) -> None:
         """See `CompanyDevice`."""
         self.move(codes)
         world = self._simulator.world
         stepping = StepFollowing(world, self.crowd, self._following, codes, out)
-        self.launch("step_following", stepping)
+        self.run("step_following", stepping)

@@ -178,7 +178,7 @@ class CompanyDevice:
     def place(self, slots: DeviceArray, out: np.void) -> None:
         """Begin episodes, everybody at their beginnings; `out` is the struct `Outputs`."""
         placing = PlacePeople(self._simulator.world, self.crowd, slots, out)
-        self.launch("place_people", placing)
+        self.run("place_people", placing)
 
     def move(self, codes: DeviceArray) -> None:
         """Everybody through the ticks of an action each, and agents that go ahead with them."""
@@ -190,9 +190,9 @@ class CompanyDevice:
     def step(self, codes: DeviceArray, out: np.void) -> None:
         """Take one action each; `out` is the struct `Outputs`."""
         self.move(codes)
-        self.launch("step_people", StepAmong(self._simulator.world, self.crowd, codes, out))
+        self.run("step_people", StepAmong(self._simulator.world, self.crowd, codes, out))
 
-    def launch(self, name: str, record: Any) -> None:
+    def run(self, name: str, record: Any) -> None:
         """Run a kernel with a thread for each environment."""
         self._kernels[name].launch(blocks_of(self._simulator.count), THREADS, record)
 

@@ -7,6 +7,7 @@ it, so that nothing of it passes through the host while nobody looks anew.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,9 @@ from numpy.typing import NDArray
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import GRAIN, REACH_PX
 from gn0.avatars.light import find_probes
-from gn0.avatars.motion.library import LOOPS, speed_class
+from gn0.avatars.motion.library import LOOPS, PIVOTS, SETTLES, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
+from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
 from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
 from gn0.device.device import DeviceArray
 from gn0.errors import ConfigError
@@ -40,7 +42,8 @@ if TYPE_CHECKING:
     from gn0.sim.device_state import SimulatorDevice
 
 _NONE = 63  # no clip
-_BITS = (16, 2, 6, 12, 3, 3, 6, 7, 3)  # of a code, from its lowest; `shown.cu` has the same
+_BITS = (16, 2, 6, 12, 3, 3, 6, 9, 3)  # of a code, from its lowest; `shown.cu` has the same
+_BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 _OFFSETS = 97  # by how many ticks people's clips are apart
 
 
@@ -75,11 +78,11 @@ class PeopleEyesDevice:
         self._scenes, self.cast = scenes, Cast(bank)
         self.posed = PosedBankDevice(renderer)
         self._roles: dict[tuple[str, float], int] = {}
-        self._clips = {"walk": 0}
+        self._clips = {clip: number for number, clip in enumerate(_BY_NUMBER)}
         self._from = [0.0] + [
             GRAIN[level] * focal / REACH_PX[level] for level in range(1, len(GRAIN))
         ]
-        self._levels: DeviceArray | None = None
+        self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
         self._shown: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None
 
     def check(self, episode: Episode) -> None:
@@ -150,14 +153,19 @@ class PeopleEyesDevice:
                 device.zeros((count, 4, 3), np.float32),
                 device.zeros(count, np.int32),
             )
-        if self._levels is None:
-            self._levels = device.upload(np.array(self._from))
+        if self._tables is None:
+            turns = [row * PIVOT / PIVOT_ROWS for row in range(PIVOT_ROWS + 1)]
+            # the host's own, so that poses have its bits
+            table = [(math.cos(turn), math.sin(turn)) for turn in turns]
+            self._tables = device.upload(np.array(self._from)), device.upload(np.array(table))
+        levels, turned = self._tables
         codes, poses, gains, chosen = self._shown
         showing = ShowPeople(
             w=simulator.world,
             c=company.crowd,
-            from_=self._levels,
+            from_=levels,
             levels=np.int32(len(self._from)),
+            turns=turned,
             codes=codes,
             poses=poses,
             gains=gains,

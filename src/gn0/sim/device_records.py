@@ -140,6 +140,7 @@ class ShowPeople(NamedTuple):
     c: np.void
     from_: DeviceArray
     levels: np.int32
+    turns: DeviceArray
     codes: DeviceArray
     poses: DeviceArray
     gains: DeviceArray

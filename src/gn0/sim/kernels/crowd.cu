@@ -94,6 +94,9 @@ __device__ void begin_people(const World &w, const Crowd &c, const Episode &e, i
     q.blocked_by = NOBODY;
     q.clip_since = LONG_AGO;
     q.claim = q.claim0 = r.right;
+    q.fx = q.hx;
+    q.fy = q.hy;
+    q.turn_since = SETTLE;
     store_person(w, c, p, i, q);
     tell_person(c, p, i, q);
   }

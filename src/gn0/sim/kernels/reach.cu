@@ -16,6 +16,9 @@
 #define NO_WAY_SECONDS 0.5
 #define PRESS_SECONDS 1
 #define BACK_SECONDS 5
+#define PIVOT_COS 0.7071067811865476
+#define PIVOT_LAG 4
+#define SETTLE 8
 #define FIRM 1099511627776
 #define ENOUGH 0.4
 #define LEAVE 0.5
@@ -45,12 +48,13 @@
 #define REAL_COLUMNS(f)                                                                        \
   f(0, x, double) f(1, y, double) f(2, x0, double) f(3, y0, double) f(4, hx, double)           \
   f(5, hy, double) f(6, speed, double) f(7, way, double) f(8, walked, double)                  \
-  f(9, hold_left, double)
+  f(9, hold_left, double) f(10, fx, double) f(11, fy, double)
 #define WHOLE_COLUMNS(f)                                                                       \
   f(0, mode, int) f(1, piece, int) f(2, direction, int) f(3, hold, int) f(4, wait, int)        \
   f(5, side, int) f(6, round_ticks, int) f(7, back_left, int) f(8, clip, int)                  \
   f(9, clip_since, int) f(10, blocked_by, int) f(11, turned, int) f(12, aside_left, int)       \
-  f(13, pressed, int) f(14, claim, i64) f(15, claim0, i64) f(16, lent_left, int)
+  f(13, pressed, int) f(14, claim, i64) f(15, claim0, i64) f(16, lent_left, int)       \
+  f(17, turn_since, int)
 
 struct Person {
 #define HOLD_COLUMN(k, name, type) type name;

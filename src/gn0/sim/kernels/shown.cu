@@ -1,5 +1,6 @@
 // How people look: people/shown.py of all that stand around agents, as codes of posed clouds, poses
-// and gains of instances. Only a head's yaw (`atan2`) may differ from the host in its last bit.
+// and gains of instances. Only angles by `atan2`, a head's and that of feet, may differ from the host
+// in their last bit: a look or a row of a turn is the next one where that falls on its edge.
 
 // What a person of an episode brings to its looks; the layout of device_layout.ROLE.
 struct Role {
@@ -17,6 +18,8 @@ struct Role {
 static_assert(sizeof(Role) == ROLE_BYTES, "device_layout.ROLE differs from Role");
 
 #define CLIP_WALK 0   // number of the clip `walk`
+#define CLIP_PIVOT 1  // of `pivot_left`; to the right is the next
+#define CLIP_SETTLE 3
 #define CLIP_NONE 63
 #define STRAIGHT 2    // class of a look ahead
 #define PHASES 64
@@ -27,6 +30,9 @@ static_assert(sizeof(Role) == ROLE_BYTES, "device_layout.ROLE differs from Role"
 #define NEAR_EYE 2.5
 #define SIDE_EYE 1.3
 #define BEHIND 1.0
+#define PIVOT 0.7853981633974483  // rad, 45 degrees
+#define PIVOT_ROWS 32
+#define SETTLE_ROWS 8
 #define PROBE_CELL 0.5  // m, of the grid of probes
 
 __device__ __forceinline__ int frame_at(double seconds) {
@@ -35,6 +41,14 @@ __device__ __forceinline__ int frame_at(double seconds) {
 
 __device__ __forceinline__ int row_of(int frame, int rows, bool loops) {
   return loops ? frame % rows : min(frame, rows - 1);
+}
+
+// `_pivot` of people/shown.py: the row of a turn that who stands is in on feet that stand another
+// way, and to which side; 0 where feet are under the body.
+__device__ __forceinline__ int pivot_of(const Person &q, int &side) {
+  double turned = atan2(q.fx * q.hy - q.fy * q.hx, q.fx * q.hx + q.fy * q.hy);
+  side = turned < 0.0;
+  return min((int)rint(fabs(turned) / PIVOT * PIVOT_ROWS), PIVOT_ROWS);
 }
 
 // Number of the class of looks nearest to a yaw [rad].
@@ -104,9 +118,10 @@ __device__ void find_gain(const Episode &e, double x, double y, float *gain) {
 }
 
 // Codes [N, places] of what is seen, 0 for nobody; poses [N, places, 4, 4] m; gains [N, places, 4, 3].
-// `from` [levels] are the distances [m] from which each level of detail is taken.
-KERNEL(show_people)(World w, Crowd c, const double *from, int levels, u64 *codes, double *poses,
-                    float *gains) {
+// `from` [levels] are the distances [m] from which each level of detail is taken, `turns`
+// [PIVOT_ROWS + 1, 2] cosine and sine of the angle turned in each row of a pivot.
+KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const double *turns,
+                    u64 *codes, double *poses, float *gains) {
   i64 k = (i64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k >= (i64)w.count * c.places) return;
   int i = (int)(k / c.places), p = (int)(k % c.places);
@@ -140,16 +155,25 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, u64 *codes
     forward = role.forward;
   } else {
     double cycles = q.walked / role.stride;
-    int phase = (int)rint(cycles * PHASES);
+    int phase = (int)rint(cycles * PHASES), side, row = pivot_of(q, side), still = role.idle;
+    if (row > 0 && q.turn_since == 0) {
+      still = CLIP_PIVOT + side;
+    } else if (row > 0) {
+      still = CLIP_SETTLE + side;
+      row = row * SETTLE_ROWS + min(q.turn_since, SETTLE_ROWS) - 1;
+    }
     if (q.clip == WALK) {
       clip = CLIP_WALK;
       frame = phase % PHASES;
-      other = role.idle;
+      other = still;
+      other_frame = row;
     } else {
-      clip = role.idle;
+      clip = still;
+      frame = row;
+      if (clip == role.idle)
+        frame = row_of(frame_at(0.1 * max(q.clip_since - BLEND, 0)), role.idle_rows, true);
       other = CLIP_WALK;
       other_frame = phase % PHASES;
-      frame = row_of(frame_at(0.1 * max(q.clip_since - BLEND, 0)), role.idle_rows, true);
     }
     if (q.clip_since < BLEND - 1) {
       quarter = q.clip_since + 1;
@@ -157,11 +181,22 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, u64 *codes
       other = CLIP_NONE;
       other_frame = 0;
     }
-    forward = ((double)phase / PHASES - cycles) * role.stride;
+    // who stands is where it is: what the phase of a walk was off by would turn with it
+    double walks = (double)min(q.clip_since + 1, BLEND) / BLEND;
+    if (q.clip != WALK) walks = 1.0 - walks;
+    forward = walks * ((double)phase / PHASES - cycles) * role.stride;
   }
   int look = STRAIGHT;
   double yaw = atan2(q.hx * dy - q.hy * dx, q.hx * dx + q.hy * dy);
   if (square < NEAR_EYE * NEAR_EYE && fabs(yaw) < SIDE_EYE) look = look_class(yaw);
+  double hx = q.hx, hy = q.hy;
+  if (clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2) {  // feet stand as they stood, to the row
+    bool pivots = clip < CLIP_SETTLE;
+    const double *turn = turns + 2 * (pivots ? frame : frame / SETTLE_ROWS);
+    double cos = turn[0], sin = (clip - (pivots ? CLIP_PIVOT : CLIP_SETTLE)) ? -turn[1] : turn[1];
+    hx = q.fx * cos - q.fy * sin;
+    hy = q.fx * sin + q.fy * cos;
+  }
   double away = sqrt(square);
   int level = 0;
   for (int n = 1; n < levels; n++)
@@ -174,11 +209,11 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, u64 *codes
   code |= (u64)look << 39;
   code |= (u64)other << 42;
   code |= (u64)other_frame << 48;
-  code |= (u64)quarter << 55;
+  code |= (u64)quarter << 57;
   codes[k] = code + 1;
   double *pose = poses + 16 * k;
-  double rows[16] = {q.hx, -q.hy, 0.0, q.x + q.hx * forward, q.hy, q.hx, 0.0, q.y + q.hy * forward,
-                     0.0,  0.0,   1.0, 0.0,                  0.0,  0.0,  0.0, 1.0};
+  double rows[16] = {hx,  -hy, 0.0, q.x + hx * forward, hy,  hx,  0.0, q.y + hy * forward,
+                     0.0, 0.0, 1.0, 0.0,                0.0, 0.0, 0.0, 1.0};
   for (int n = 0; n < 16; n++) pose[n] = rows[n];
   find_gain(e, q.x, q.y, gains + 12 * k);
 }

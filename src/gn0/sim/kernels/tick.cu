@@ -239,10 +239,47 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   }
 }
 
+// Which way feet stand after a tick that began with a heading; decides on nothing but looks.
+__device__ __forceinline__ void place_feet(Person &q, double hx, double hy) {
+  double x = q.hx, y = q.hy;
+  if (q.clip == WALK) {
+    if (q.clip_since >= PIVOT_LAG) {
+      q.fx = x;
+      q.fy = y;
+      q.turn_since = SETTLE;
+    }
+    return;
+  }
+  if (x != hx || y != hy) {
+    if (q.turn_since >= SETTLE / 2) {
+      q.fx = hx;
+      q.fy = hy;
+    }
+    q.turn_since = 0;
+  } else if (q.turn_since < SETTLE) {
+    q.turn_since++;
+    if (q.turn_since == SETTLE) {
+      q.fx = x;
+      q.fy = y;
+    }
+  }
+  double fx = q.fx, fy = q.fy;
+#pragma unroll 1
+  for (int k = 0; k < 4; k++) {
+    if (fx * x + fy * y > PIVOT_COS) break;
+    double side = fx * y - fy * x >= 0.0 ? PIVOT_COS : -PIVOT_COS;
+    double nx = fx * PIVOT_COS - fy * side, ny = fx * side + fy * PIVOT_COS;
+    double size = sqrt(nx * nx + ny * ny);
+    q.fx = fx = nx / size;
+    q.fy = fy = ny / size;
+  }
+}
+
 // One person's next tick; its own last place is set already.
 __device__ __forceinline__ void tick_person(Person &q, const Route &r, const Episode &e,
                                             const Pace &pace, const Around &a) {
   int was = q.clip;
+  double hx = q.hx, hy = q.hy;
   if (r.behaviour == SCRIPT) {
     q.blocked_by = NOBODY;
     if (q.back_left > 0) {
@@ -268,4 +305,5 @@ __device__ __forceinline__ void tick_person(Person &q, const Route &r, const Epi
   }
   if (q.clip != was) q.clip_since = 0;
   else q.clip_since++;
+  place_feet(q, hx, hy);
 }

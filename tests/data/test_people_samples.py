@@ -226,14 +226,20 @@ def test_tables_and_datasets_of_nobody_stay_as_they_were(suite: Suite, tmp_path:
     assert encode_table(mixed) == encode_table(encode_rows([make_rows()]))
 
 
-def test_one_or_two_workers_shards_or_a_stop_in_between_give_the_same_bytes(
+@pytest.mark.slow
+def test_two_workers_give_the_same_bytes(
+    suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path
+) -> None:
+    build_dataset(suite, tmp_path / "two", data.about.settings, bank=bank, workers=2)
+    assert files_of(tmp_path / "two") == files_of(data.folder)
+
+
+def test_shards_or_a_stop_in_between_give_the_same_bytes(
     suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
 ) -> None:
     wanted = files_of(data.folder)
     assert "bank/bank.json" in wanted and "bank/p0001.npz" in wanted
     settings = data.about.settings
-    build_dataset(suite, tmp_path / "two", settings, bank=bank, workers=2)
-    assert files_of(tmp_path / "two") == wanted
     write, count = part_module.write_part, 0
 
     def fail_once(*args, **more):  # type: ignore[no-untyped-def]

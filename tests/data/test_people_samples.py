@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from gn0.avatars.bank import digest_avatar
 from gn0.cli.main import main
 from gn0.data import part as part_module
 from gn0.data.balance import BalanceSettings, balance_dataset, load_selection
@@ -26,6 +27,7 @@ from gn0.data.expert_labels import LabelSettings
 from gn0.data.merge import merge_shards
 from gn0.data.picture_build import render_dataset
 from gn0.data.repair import repair_dataset
+from gn0.data.sample_pictures import StepCrowd
 from gn0.data.sample_sheet import draw_sheet
 from gn0.data.sample_table import (
     EpisodeRows,
@@ -39,9 +41,16 @@ from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.step_people import StepPeople
 from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, EpisodeError, FormatError
+from gn0.geometry import Pose2D
+from gn0.people.cast import Actor
+from gn0.people.crowd import build_walls, empty_crowd, place_people, step_crowd
+from gn0.people.person import EpisodePerson, PersonStop
+from gn0.people.route import build_routes
+from gn0.people.shown import show_person
 from gn0.policies.bae.prompt_fields import render_prompt, sample_answer, sample_state
 from gn0.policies.bae.prompt_template import load_prompt
 from gn0.sim.open import open_simulator
+from gn0.sim.people_eyes import PeopleEyes
 from gn0.sim.presets import find_preset
 from gn0.suites import scene_drawing
 from gn0.suites.suite import Suite
@@ -54,6 +63,7 @@ from gn0_trials.people_samples import (
     save_peopled,
     save_some,
 )
+from gn0_trials.people_small import small_person
 
 
 def make_rows(episode_id: str = "a") -> EpisodeRows:
@@ -123,6 +133,68 @@ def test_what_a_row_carries_makes_the_pictures_of_the_simulator_again(data: Data
             assert result.info.get("hit_person") is None
 
 
+def test_who_turns_on_the_spot_is_drawn_from_its_rows_as_in_the_simulator(
+    bank: Path, tmp_path: Path
+) -> None:
+    """Feet stand as they stood while a body turns, and step after it: rows say both."""
+    turner = EpisodePerson(
+        number=1, identity="p0001", path=((3.5, 2.6), (3.5, 1.4)), speed=0.6,
+        stops=(PersonStop(at=0.0, seconds=5.0, look=75.0),),
+    )  # fmt: skip
+    suite = save_some(tmp_path / "suite", goal_episode("d-turns", turner))
+    data = build_dataset(suite, tmp_path / "data", settings_of("none"), bank=bank)
+    rows, episode = data.rows("d-turns"), data.episode("d-turns")
+    simulator = open_simulator(data.scene("flat"), CAMERA, "cpu", {"rgb"}, BODY, bank=data.bank)
+    seen, drawn = simulator.reset(episode), []
+    for step, frame in enumerate(read_frames(data, "d-turns", {"rgb"}, exact=True)):
+        assert np.array_equal(frame["rgb"], seen.rgb)
+        drawn.append(frame["rgb"])
+        seen = simulator.step(int(rows.executed[step])).observation
+    facing, feet = rows.people.real[:, 0, 2:4], rows.people.real[:, 0, 5:7]
+    twisted = np.flatnonzero(np.sum(facing * feet, axis=1) < math.cos(math.radians(5)))
+    turned, settling = rows.people.whole[twisted, 0, 2] == 0, rows.people.whole[twisted, 0, 2] > 0
+    assert turned.sum() >= 2 and settling.sum() >= 2
+    # and it can be seen: on feet that stand as the body faces it looks another way
+    real, whole = rows.people.real.copy(), rows.people.whole.copy()
+    real[:, :, 5:7], whole[:, :, 2] = real[:, :, 2:4], 8
+    eyes = PeopleEyes(data.scene("flat"), simulator.suite.renderer, data.bank)
+    untold = StepCrowd(eyes, episode.people, StepPeople(real, whole), find_preset(CAMERA).rgb.fx)
+    for step in twisted.tolist():
+        pose = Pose2D(*rows.poses[step].tolist())
+        told = simulator.suite.look(
+            pose, frozenset({"rgb"}), untold.show(untold.want([pose], step))[0]
+        )
+        assert not np.array_equal(told["rgb"], drawn[step])
+
+
+def test_rows_hold_all_that_shows_a_person() -> None:
+    """At every tick of a walk with stops: clip, frame, what it blends with, and pose."""
+    avatar = small_person()
+    actor = Actor("somebody", digest_avatar(avatar), (avatar,) * 4)
+    person = EpisodePerson(
+        number=1, identity="drawn:3:0", path=((1.3, 2.5), (3.4, 2.5)), speed=0.8, after="back",
+        stops=(
+            PersonStop(at=1.0, seconds=3.0, look=75.0), PersonStop(at=1.6, seconds=3.0, look=-70.0),
+        ),
+    )  # fmt: skip
+    state, routes = empty_crowd(1, 1), build_routes([person])
+    place_people(state, 0, routes, [0])
+    walls, nobody = build_walls(()), np.array([[0.0, 0.0, -1.0]])
+    state.walls[:] = -1
+    states = []
+    for _ in range(170):
+        step_crowd(state, routes, walls, nobody)
+        states.append(state.copy())
+    kept, clips, eye = StepPeople.of_states(states), set(), (2.6, 1.5)
+    for tick, then in enumerate(states):
+        shown, pose = show_person(person, actor, then.real[0, 0], then.whole[0, 0], eye)
+        row = kept.at(tick, (person,)).state
+        again, place = show_person(person, actor, row.real[0, 0], row.whole[0, 0], eye)
+        assert again == shown and np.array_equal(place, pose), tick
+        clips |= {shown.clip, shown.other}
+    assert {"walk", "pivot_left", "pivot_right", "settle_left", "settle_right"} <= clips
+
+
 def test_people_change_the_pictures_that_show_them_and_nothing_else(data: Dataset) -> None:
     alone, crossed = data.rows("a-alone"), data.rows("b-crossed")
     assert alone.people is None and crossed.people is not None
@@ -154,14 +226,20 @@ def test_tables_and_datasets_of_nobody_stay_as_they_were(suite: Suite, tmp_path:
     assert encode_table(mixed) == encode_table(encode_rows([make_rows()]))
 
 
-def test_one_or_two_workers_shards_or_a_stop_in_between_give_the_same_bytes(
+@pytest.mark.slow
+def test_two_workers_give_the_same_bytes(
+    suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path
+) -> None:
+    build_dataset(suite, tmp_path / "two", data.about.settings, bank=bank, workers=2)
+    assert files_of(tmp_path / "two") == files_of(data.folder)
+
+
+def test_shards_or_a_stop_in_between_give_the_same_bytes(
     suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
 ) -> None:
     wanted = files_of(data.folder)
     assert "bank/bank.json" in wanted and "bank/p0001.npz" in wanted
     settings = data.about.settings
-    build_dataset(suite, tmp_path / "two", settings, bank=bank, workers=2)
-    assert files_of(tmp_path / "two") == wanted
     write, count = part_module.write_part, 0
 
     def fail_once(*args, **more):  # type: ignore[no-untyped-def]
@@ -306,11 +384,10 @@ def test_what_is_damaged_is_found_and_made_again(
 def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
     steps, count = 4, 2
     rng = np.random.default_rng(0)
-    turn = rng.uniform(-3, 3, (steps, count))
-    real = np.dstack(
-        [rng.uniform(-3, 3, (steps, count, 2)), np.cos(turn), np.sin(turn), np.abs(turn)]
-    )
-    whole = rng.integers(0, 2, (steps, count, 2))
+    turn, feet = rng.uniform(-3, 3, (2, steps, count))
+    places = rng.uniform(-3, 3, (steps, count, 2))
+    real = np.dstack([places, np.cos(turn), np.sin(turn), np.abs(turn), np.cos(feet), np.sin(feet)])
+    whole = rng.integers(0, 2, (steps, count, 3))
     seen = rng.uniform(0, 9, (steps, count, 6)).astype(np.float32)
     rows = replace(make_rows("b"), people=StepPeople(real, whole), person=2, seen=seen)
     path = tmp_path / "t.parquet"
@@ -322,16 +399,20 @@ def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: P
     assert digest_labels([read]) == digest_labels([rows]) != digest_labels([make_rows("b")])
     assert digest_labels([replace(read, seen=None)]) == digest_labels([rows])
     table = pq.read_table(path)
-    facing = real.copy()
-    facing[1, 0, 2] = 2.0
+    facing, standing = real.copy(), real.copy()
+    facing[1, 0, 2] = standing[1, 0, 6] = 2.0
     ruined = {
         "people": [
-            [[0.0] * 5] * 4 + real.reshape(steps, -1)[:, :5].tolist(),  # who was not there
+            [[0.0] * 7] * 4 + real.reshape(steps, -1)[:, :7].tolist(),  # who was not there
             [[]] * 4 + facing.reshape(steps, -1).tolist(),
-            [[]] * 4 + [[float("nan")] * 10] * 4,
-            [[]] * 4 + [[1.0] * 9] * 4,
+            [[]] * 4 + standing.reshape(steps, -1).tolist(),
+            [[]] * 4 + [[float("nan")] * 14] * 4,
+            [[]] * 4 + [[1.0] * 13] * 4,
         ],
-        "people_doing": [[[]] * 4 + [[7, 0, 0, 0]] * 4, [[]] * 4 + [[0, 0, 0]] * 4],
+        "people_doing": [
+            [[]] * 4 + [values] * 4
+            for values in ([7, *[0] * 5], [0] * 5, [0, 0, 9, 0, 0, 0], [0, 0, -1, 0, 0, 0])
+        ],
         "person": [[0] * 4 + [2, 2, 2, 1], [1] * 4 + [2] * 4, [0] * 4 + [17] * 4],
         "people_seen": [[[]] * 4 + [[1.0] * 11] * 4],
     }

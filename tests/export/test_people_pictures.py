@@ -48,8 +48,12 @@ def source(dataset: Dataset) -> ExportSource:
 def _play(dataset: Dataset, bank: Path, name: str, camera: str) -> list[U8]:
     """What a simulator shows along the walk of an episode, through a camera."""
     rows, episode = dataset.rows(name), dataset.episode(name)
+    agent = dataset.about.agent
+    if camera != dataset.about.camera:  # a camera of a robot's own is as high as it says
+        height = find_preset(camera).agent.camera_height
+        agent = msgspec.structs.replace(agent, camera_height=height)
     simulator = open_simulator(
-        dataset.scene("flat"), camera, "cpu", {"rgb"}, dataset.about.agent, bank=bank,
+        dataset.scene("flat"), camera, "cpu", {"rgb"}, agent, bank=bank,
         navigation=dataset.navigation("flat"), light=episode.light,
     )  # fmt: skip
     seen = [simulator.reset(episode)]
@@ -98,7 +102,7 @@ def test_people_are_in_the_pictures_where_they_were_then(
             if person.mean() < 0.01:  # nobody is in view
                 continue
             shown += 1
-            assert _off(picture[person], truth[person]) < _off(picture[person], nobody[person]) / 3
+            assert _off(picture[person], truth[person]) < _off(picture[person], nobody[person]) / 8
         assert shown
 
 

@@ -165,11 +165,12 @@ def describe_people(step: DrawnStep) -> dict[str, Any]:
     assert block.people is not None
     people = []
     for k, person in enumerate(step.episode.people):
-        x, y, face_x, face_y, walked = block.people.real[t, k].tolist()
+        x, y, face_x, face_y, walked, feet_x, feet_y = block.people.real[t, k].tolist()
+        walks, ticks, turned = block.people.whole[t, k].tolist()
         told = {
             "number": person.number, "identity": person.identity, "place": [x, y],
-            "facing": [face_x, face_y], "walked": walked,
-            "walks": bool(block.people.whole[t, k, 0]), "ticks": int(block.people.whole[t, k, 1]),
+            "facing": [face_x, face_y], "walked": walked, "feet": [feet_x, feet_y],
+            "walks": bool(walks), "ticks": ticks, "turned_ticks": turned,
         }  # fmt: skip
         if seen is not None:
             view = SeenPerson.of_row(person.number, seen[k])

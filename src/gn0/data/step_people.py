@@ -1,9 +1,10 @@
 """The people of samples: what each did at each step, so that its picture can be made again.
 
 A row keeps what a picture of a person depends on and nothing of how people decide: place, heading,
-metres walked (of which the gait's phase is made), whether it walks, and since when. Who it is, its
-bank, speed and seat are in the episode's record of it; clip, blend, phase and head follow from both
-and from where the agent stands, see `gn0.people.shown`.
+metres walked (of which the gait's phase is made), the way its feet stand, whether it walks, since
+when, and since when it has not turned. Who it is, its bank, speed and seat are in the episode's
+record of it; clip, blend, phase and head follow from both and from where the agent stands, see
+`gn0.people.shown`.
 """
 
 from __future__ import annotations
@@ -21,9 +22,24 @@ from gn0.errors import FormatError
 from gn0.geometry import F32, F64
 from gn0.people.crowd import CrowdState, empty_crowd
 from gn0.people.person import PEOPLE_MOST, EpisodePerson
-from gn0.people.reach import CLIP, CLIP_SINCE, HX, HY, WALK, WALKED, X, Y
+from gn0.people.reach import (
+    CLIP,
+    CLIP_SINCE,
+    FX,
+    FY,
+    HX,
+    HY,
+    SETTLE,
+    TURN_SINCE,
+    WALK,
+    WALKED,
+    X,
+    Y,
+)
 
-REALS, WHOLES, SEEN = 5, 2, 6  # numbers a person, in each of the columns
+# what `show_person` reads of a person's rows of `CrowdState`, in the order of the columns
+_REAL, _WHOLE = (X, Y, HX, HY, WALKED, FX, FY), (CLIP, CLIP_SINCE, TURN_SINCE)
+REALS, WHOLES, SEEN = len(_REAL), len(_WHOLE), 6  # numbers a person, in each of the columns
 I32 = NDArray[np.int32]
 
 
@@ -44,8 +60,10 @@ class StepPeople:
     """What P people did at T steps, in the order of `Episode.people`.
 
     Attributes:
-        real: float64 [T, P, 5]: place x, y [m], unit vector of the heading x, y, metres walked.
-        whole: int32 [T, P, 2]: 1 while it walks, else 0; ticks of 0.1 s since that changed.
+        real: float64 [T, P, 7]: place x, y [m], unit vector of the heading x, y, metres walked,
+            unit vector of the way that its feet stand x, y.
+        whole: int32 [T, P, 3]: 1 while it walks, else 0; ticks of 0.1 s since that changed; ticks
+            since it turned on the spot, at most 8.
 
     Raises:
         FormatError: arrays of other shapes.
@@ -69,8 +87,8 @@ class StepPeople:
     @classmethod
     def of_states(cls, states: Sequence[CrowdState]) -> StepPeople:
         """People as the company of a simulator had them at each step (`Company.save`)."""
-        real = np.stack([state.real[0][:, [X, Y, HX, HY, WALKED]] for state in states])
-        whole = np.stack([state.whole[0][:, [CLIP, CLIP_SINCE]] for state in states])
+        real = np.stack([state.real[0][:, _REAL] for state in states])
+        whole = np.stack([state.whole[0][:, _WHOLE] for state in states])
         return cls(real, whole.astype(np.int32))
 
     def __len__(self) -> int:
@@ -104,8 +122,8 @@ class StepCompany:
 
     Args:
         people: who they are, in the order of the rows.
-        real: [P, 5] as in `StepPeople`.
-        whole: [P, 2] likewise.
+        real: [P, 7] as in `StepPeople`.
+        whole: [P, 3] likewise.
 
     Raises:
         FormatError: as many rows as people are expected.
@@ -119,8 +137,8 @@ class StepCompany:
             )  # fmt: skip
         self.people = people
         self.state = empty_crowd(1, len(people))
-        self.state.real[0][:, [X, Y, HX, HY, WALKED]] = real
-        self.state.whole[0][:, [CLIP, CLIP_SINCE]] = whole
+        self.state.real[0][:, _REAL] = real
+        self.state.whole[0][:, _WHOLE] = whole
         self.places: F64 = self.state.real[0, :, X : Y + 1]
 
 
@@ -233,9 +251,11 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
         if not np.isfinite(_values(table, name)).all():
             return name, 0, "or a later one holds NaN or infinity"
     doing = _values(table, "people_doing").reshape(-1, WHOLES)
-    if ((doing[:, 0] < 0) | (doing[:, 0] > WALK) | (doing[:, 1] < 0)).any():
+    most = (WALK, np.iinfo(np.int32).max, SETTLE)
+    if ((doing < 0) | (doing > most)).any():
         return "people_doing", 0, "or a later one says nothing that people do"
-    facing = _values(table, "people").reshape(-1, REALS)[:, 2:4]
-    if len(facing) and (np.abs(np.hypot(*facing.T) - 1.0) > 1e-6).any():
-        return "people", 0, "or a later one faces nowhere"
+    real = _values(table, "people").reshape(-1, REALS)
+    for ways, what in ((real[:, 2:4], "faces nowhere"), (real[:, 5:7], "stands no way")):
+        if len(ways) and (np.abs(np.hypot(*ways.T) - 1.0) > 1e-6).any():
+            return "people", 0, f"or a later one {what}"
     return None

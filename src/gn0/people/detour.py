@@ -319,13 +319,14 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         if score <= best:
             continue
         reach = 0.35 if size > 0.35 else size
+        qx, qy = x + ux * reach, y + uy * reach
         ok = True
-        for part in (0.34, 0.67, 1.0):
-            qx, qy = x + ux * reach * part, y + uy * reach * part
-            if not is_free(walls, wall_arrays, e, qx, qy):
+        for part in (1.0, 0.67, 0.34):  # what is in the way mostly is at the end
+            ax, ay = x + ux * reach * part, y + uy * reach * part
+            if not is_free(walls, wall_arrays, e, ax, ay):
                 ok = False
                 break
-            clear = gap_at(real, route, agent, radius, e, p, qx, qy, near)
+            clear = gap_at(real, route, agent, radius, e, p, ax, ay, near)
             if clear < room and clear < here + 0.2 * reach * part:
                 ok = False
                 break

@@ -53,6 +53,7 @@ from gn0.people.reach import (
     Y0,
     X,
     Y,
+    find_near,
     gap_at,
     is_free,
     place_at,
@@ -67,6 +68,7 @@ from gn0.people.route import ACCELERATION, SCRIPT
 def choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
     """The side with more free places beside the way ahead: 1 left, −1 right; right of equals."""
     x, y = real[e, p, X], real[e, p, Y]
+    near = find_near(real, route, agent, radius, e, p, 1.2 + ROOM)
     best, side = -1, -1
     for s in (-1, 1):
         free = 0
@@ -76,7 +78,7 @@ def choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
                 qy = y + ty * 0.3 * b + s * tx * 0.25 * a
                 if not is_free(walls, wall_arrays, e, qx, qy):
                     break
-                if gap_at(real, route, agent, radius, e, p, qx, qy) > ROOM:
+                if gap_at(real, route, agent, radius, e, p, qx, qy, near) > ROOM:
                     free += 1
         if free > best:
             best, side = free, s
@@ -125,7 +127,8 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p,
     now = min(v + ACCELERATION * dt * 0.875, 0.5)
     step = 0.5 * (v + now) * dt
     hx, hy = real[e, p, HX], real[e, p, HY]
-    here = gap_at(real, route, agent, radius, e, p, x, y) + 0.01
+    near = find_near(real, route, agent, radius, e, p, 1.2)
+    here = gap_at(real, route, agent, radius, e, p, x, y, near) + 0.01
     if here > ENOUGH:
         whole[e, p, ASIDE_LEFT], real[e, p, SPEED] = 0, 0.0
         return
@@ -142,12 +145,12 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p,
                 free = False
                 break
         if free and is_free(walls, wall_arrays, e, x + ux * step, y + uy * step):
-            clear = gap_at(real, route, agent, radius, e, p, x + ux * 0.2, y + uy * 0.2)
+            clear = gap_at(real, route, agent, radius, e, p, x + ux * 0.2, y + uy * 0.2, near)
             score = clear + STEADY * (ux * hx + uy * hy)
             if clear <= here or score <= best:
                 continue
             sx, sy = x + ux * SHUFFLE, y + uy * SHUFFLE
-            share, _ = share_allowed(real, route, agent, radius, e, p, sx, sy)
+            share, _ = share_allowed(real, route, agent, radius, e, p, sx, sy, near)
             if share >= 1.0:
                 qx, qy = x + ux * 0.2, y + uy * 0.2
                 if not sees or clear_line(walls, wall_arrays, e, qx, qy, mx, my):
@@ -159,7 +162,7 @@ def make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p,
     if turn_to(real, pace, e, p, bx, by, pace.seconds) < SIDEWAYS:
         return
     nx, ny = x + bx * step, y + by * step
-    share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny)
+    share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny, near)
     if share >= 1.0:
         real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, now
         whole[e, p, ASIDE_LEFT] -= 1
@@ -265,22 +268,23 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
     now = min(v + ACCELERATION * dt * 0.875, fastest)
     step = 0.5 * (v + now) * dt
     bx, by, best, qx, qy = 0.0, 0.0, -1e30, x, y
+    near = find_near(real, route, agent, radius, e, p, 1.0)
     if aside <= HOME:
-        _, who = room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, 0.6)
+        _, who = room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, 0.6, near)
         nx, ny, piece, tx, ty = place_at(routes, r, way, piece)
         if who == NOBODY and clear_line(walls, wall_arrays, e, x, y, nx, ny):
-            near = aside <= step + 0.005
+            there = aside <= step + 0.005
             ux, uy = 0.0, 0.0
-            if not near:
+            if not there:
                 ux, uy = (nx - x) / aside, (ny - y) / aside
                 nx, ny = x + ux * step, y + uy * step
-            share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny)
-            free = near or is_free(walls, wall_arrays, e, nx, ny)
-            if share >= 1.0 and free and (near or aside <= SHUFFLE):
+            share, _ = share_allowed(real, route, agent, radius, e, p, nx, ny, near)
+            free = there or is_free(walls, wall_arrays, e, nx, ny)
+            if share >= 1.0 and free and (there or aside <= SHUFFLE):
                 real[e, p, X], real[e, p, Y] = nx, ny
-                real[e, p, SPEED] = aside / dt if near else now
+                real[e, p, SPEED] = aside / dt if there else now
                 turn_to(real, pace, e, p, sign * tx, sign * ty, pace.seconds)
-                if near:
+                if there:
                     come_home(whole, routes, r, way, piece, e, p)
                 return
             if share >= 1.0 and free:
@@ -299,7 +303,7 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         dx, dy = real[e, p, HX], real[e, p, HY]
     else:
         dx, dy = dx / size, dy / size
-    here = gap_at(real, route, agent, radius, e, p, x, y)
+    here = gap_at(real, route, agent, radius, e, p, x, y, near)
     squeezes = whole[e, p, TURNED] % 4 > 1
     room = SQUEEZE if squeezes else ROOM
     for k in range(len(TURNS) if squeezes else FEW_TURNS):
@@ -315,13 +319,14 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         if score <= best:
             continue
         reach = 0.35 if size > 0.35 else size
+        qx, qy = x + ux * reach, y + uy * reach
         ok = True
-        for part in (0.34, 0.67, 1.0):
-            qx, qy = x + ux * reach * part, y + uy * reach * part
-            if not is_free(walls, wall_arrays, e, qx, qy):
+        for part in (1.0, 0.67, 0.34):  # what is in the way mostly is at the end
+            ax, ay = x + ux * reach * part, y + uy * reach * part
+            if not is_free(walls, wall_arrays, e, ax, ay):
                 ok = False
                 break
-            clear = gap_at(real, route, agent, radius, e, p, qx, qy)
+            clear = gap_at(real, route, agent, radius, e, p, ax, ay, near)
             if clear < room and clear < here + 0.2 * reach * part:
                 ok = False
                 break
@@ -341,7 +346,7 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         real[e, p, SPEED] = 0.0
         return
     nx, ny = x + bx * step, y + by * step
-    share, who = share_allowed(real, route, agent, radius, e, p, nx, ny)
+    share, who = share_allowed(real, route, agent, radius, e, p, nx, ny, near)
     if share < 1.0:
         whole[e, p, BLOCKED_BY] = who
         now = 0.0

@@ -130,12 +130,12 @@ def cap_speed(v, after, room, dt):
 
 
 @njit_borrowing(forceinline=True)
-def share_allowed(real, route, agent, radius, e, p, nx, ny):
+def share_allowed(real, route, agent, radius, e, p, nx, ny, near):
     """Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least."""
     x, y = real[e, p, X0], real[e, p, Y0]
     sx, sy = nx - x, ny - y
     share, who = 1.0, NOBODY
-    for j in range(-1, real.shape[1]):
+    for j in range(near[0], near[1]):
         if j == p:
             continue
         if j < 0:
@@ -147,8 +147,8 @@ def share_allowed(real, route, agent, radius, e, p, nx, ny):
                 continue
             dx, dy, reach = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
         square = dx * dx + dy * dy
-        near = reach + 0.5
-        if square > near * near:
+        seen = reach + 0.5
+        if square > seen * seen:
             continue
         along = sx * dx + sy * dy
         if along <= 0.0:
@@ -167,19 +167,24 @@ def share_allowed(real, route, agent, radius, e, p, nx, ny):
 
 
 @njit_borrowing(forceinline=True)
-def is_crowded(real, route, agent, e, p, reach):
-    """Whether anybody's middle is nearer than `reach` [m]."""
+def find_near(real, route, agent, radius, e, p, gap):
+    """Rows from the first to after the last whose bodies are nearer than `gap` [m]; −1 the agent.
+
+    Whoever is between these rows is looked at as well: it costs time and changes nothing. Two
+    equal rows are nobody.
+    """
     x, y = real[e, p, X0], real[e, p, Y0]
+    first, end = real.shape[1], -1
     if agent[e, 2] >= 0.0:
-        dx, dy = agent[e, 0] - x, agent[e, 1] - y
+        dx, dy, reach = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2] + gap
         if dx * dx + dy * dy < reach * reach:
-            return True
+            first, end = -1, 0
+    reach = 2.0 * radius + gap
     for j in range(real.shape[1]):
-        if j != p and route[e, j] >= 0:
-            dx, dy = real[e, j, X0] - x, real[e, j, Y0] - y
-            if dx * dx + dy * dy < reach * reach:
-                return True
-    return False
+        dx, dy = real[e, j, X0] - x, real[e, j, Y0] - y
+        if dx * dx + dy * dy < reach * reach and j != p and route[e, j] >= 0:
+            first, end = min(first, j), j + 1
+    return (first, end) if end >= 0 else (0, 0)
 
 
 @njit_borrowing(forceinline=True)
@@ -210,12 +215,12 @@ def place_at(routes, r, way, piece):
 
 
 @njit_borrowing(forceinline=True)
-def room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach):
+def room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach, near):
     """Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is."""
     r = route[e, p]
     length = routes.lines[r, 1]
     gone = 0.0
-    while gone < reach:
+    while gone < reach and near[0] < near[1]:
         at = way + sign * gone
         if at > length:
             if routes.table[r, 4] != 2:
@@ -230,20 +235,20 @@ def room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach
         x, y, piece, tx, ty = place_at(routes, r, at, piece)
         tx, ty = sign * tx, sign * ty
         best, who = reach, NOBODY
-        for j in range(-1, real.shape[1]):
+        for j in range(near[0], near[1]):
             if j == p:
                 continue
             if j < 0:
                 if agent[e, 2] < 0.0:
                     continue
-                dx, dy, near = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2] + 0.02
+                dx, dy, body = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2] + 0.02
             else:
                 if route[e, j] < 0:
                     continue
-                dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius + 0.02
+                dx, dy, body = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius + 0.02
             along = dx * tx + dy * ty
             aside = dx * ty - dy * tx
-            under = near * near - aside * aside
+            under = body * body - aside * aside
             if along <= 0.0 or under <= 0.0:
                 continue
             room = along - math.sqrt(under)
@@ -273,21 +278,21 @@ def is_free(walls, wall_arrays, e, x, y):
 
 
 @njit_borrowing
-def gap_at(real, route, agent, radius, e, p, x, y):
-    """Least gap [m] to anybody from a place."""
+def gap_at(real, route, agent, radius, e, p, x, y, near):
+    """Least gap [m] to anybody of the rows `near` from a place."""
     least = SIGHT
-    for j in range(-1, real.shape[1]):
+    for j in range(near[0], near[1]):
         if j == p:
             continue
         if j < 0:
             if agent[e, 2] < 0.0:
                 continue
-            dx, dy, near = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2]
+            dx, dy, body = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2]
         else:
             if route[e, j] < 0:
                 continue
-            dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
+            dx, dy, body = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
         square = dx * dx + dy * dy
-        if square < (least + near) * (least + near):
-            least = math.sqrt(square) - near
+        if square < (least + body) * (least + body):
+            least = math.sqrt(square) - body
     return least

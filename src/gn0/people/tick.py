@@ -58,7 +58,7 @@ from gn0.people.reach import (
     X,
     Y,
     cap_speed,
-    is_crowded,
+    find_near,
     piece_at,
     place_at,
     room_ahead,
@@ -300,14 +300,18 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
     v = real[e, p, SPEED]
     ahead, blocker = SIGHT, NOBODY
     reach = min(0.5 + v * v / (2.0 * BRAKE) + 0.25, SIGHT - 0.01)
-    near = (
-        mode == ON_PATH
-        and hold_left <= 0.0
-        and is_crowded(real, route, agent, e, p, reach + 2.0 * radius + 0.1)
-    )
-    if near:
+    near = (0, 0)
+    if mode == ON_PATH and hold_left <= 0.0:
+        near = find_near(real, route, agent, radius, e, p, reach + 0.1)
+        if near[0] < near[1] == 0 and agent[e, 2] > radius:  # by its middle, as people are
+            dx, dy = agent[e, 0] - real[e, p, X0], agent[e, 1] - real[e, p, Y0]
+            within = reach + 2.0 * radius + 0.1
+            if dx * dx + dy * dy >= within * within:
+                near = (0, 0)
+    crowded = near[0] < near[1]
+    if crowded:
         ahead, blocker = room_ahead(
-            real, route, routes, agent, radius, e, p, way, piece, sign, reach
+            real, route, routes, agent, radius, e, p, way, piece, sign, reach, near
         )
         if blocker == NOBODY:
             ahead = SIGHT
@@ -319,9 +323,9 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
     clear = blocker == NOBODY or (room > 0.0 and 2.0 * BRAKE * room >= v * v)
     if clear and v > 0.0 and _cruise(real, whole, routes, pace, e, p, r):
         share, who = 1.0, NOBODY
-        if near:
+        if crowded:
             x, y = real[e, p, X], real[e, p, Y]
-            share, who = share_allowed(real, route, agent, radius, e, p, x, y)
+            share, who = share_allowed(real, route, agent, radius, e, p, x, y, near)
         if share >= 1.0:
             return
         real[e, p, WAY], real[e, p, X], real[e, p, Y] = way, real[e, p, X0], real[e, p, Y0]
@@ -333,8 +337,8 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
             ahead - gone if ahead < SIGHT else ahead,
         )  # fmt: skip
     x, y, _, tx, ty = place_at(routes, r, real[e, p, WAY], whole[e, p, PIECE])
-    if near and gone > 0.0:
-        share, who = share_allowed(real, route, agent, radius, e, p, x, y)
+    if crowded and gone > 0.0:
+        share, who = share_allowed(real, route, agent, radius, e, p, x, y, near)
         if share < 1.0:  # less of the way, as if the tick had brought no more
             blocker = who
             gone = gone * share * 0.999
@@ -342,7 +346,7 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
             if not 0.0 <= there <= routes.lines[r, 1] or whole[e, p, DIRECTION] != sign:
                 gone, there = 0.0, way
             x, y, after, tx, ty = place_at(routes, r, there, piece)
-            share, who = share_allowed(real, route, agent, radius, e, p, x, y)
+            share, who = share_allowed(real, route, agent, radius, e, p, x, y, near)
             if share < 1.0:
                 gone, there = 0.0, way
                 x, y, after, tx, ty = place_at(routes, r, way, piece)

@@ -19,7 +19,7 @@ from gn0.geometry import F32, F64, quaternion_from_rotation, rotation_from_quate
 from gn0.scenes.mesh import join_meshes
 from gn0.scenes.rays import RayCaster
 
-SIGMA = 1.85  # standard deviations of a disc, in those of the place that is nearest to it
+SIGMA = 1.6  # standard deviations of a disc, in those of the place that is nearest to it
 THICKNESS = 0.0012  # of a disc [m]
 STRANDS = {  # standard deviations along and across, and thickness [m]
     "hair": (0.008, 0.0022, THICKNESS),
@@ -35,8 +35,9 @@ _LIFT = 3e-4  # [m]
 _OUT = 0.008  # how far what belongs under a sheet may stick out of it [m]
 _OPEN_RAYS, _OPEN_REACH = 24, 0.45  # of self-shadow [m]
 _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of it
-# discs are seen half a pixel beyond where they end, so that they lie a little under the surface
-_INSET, _INSET_MOST = 0.65, 0.3  # in their standard deviations, and of the thickness of a part
+# discs are seen half a pixel beyond where they end, so that they lie a little under the surface:
+# at 2 m and 480 x 360 this much leaves outlines of limbs, also before each other, where they are
+_INSET, _INSET_MOST = 1.3, 0.4  # in their standard deviations, and of the thickness of a part
 _END = 1.5  # standard deviations from its middle where a strand ends
 
 

@@ -142,7 +142,8 @@ def _find_spots(
         turn = yaw + np.pi + float(stream.uniform(-1.0, 1.0)) * (2.5 if len(spots) % 3 == 2 else 1)
         seen = renderer.render(camera, view_from_pose(x, y, EYE, yaw)[None], outputs=("depth",))
         assert seen.depth is not None
-        before = seen.depth[0, 15:76, 40:80]
+        # down to the shoes: the traced person is laid over the room, furniture before it too
+        before = seen.depth[0, 15:86, 40:80]
         if np.nanmin(np.where(np.isfinite(before), before, np.inf)) > _CLEAR - 0.9 and (
             np.nanmedian(before[:40]) > _CLEAR
         ):

@@ -19,7 +19,7 @@ from gn0.geometry import F32, F64, quaternion_from_rotation, rotation_from_quate
 from gn0.scenes.mesh import join_meshes
 from gn0.scenes.rays import RayCaster
 
-SIGMA = 1.6  # standard deviations of a disc, in those of the place that is nearest to it
+SIGMA = 1.85  # standard deviations of a disc, in those of the place that is nearest to it
 THICKNESS = 0.0012  # of a disc [m]
 STRANDS = {  # standard deviations along and across, and thickness [m]
     "hair": (0.008, 0.0022, THICKNESS),
@@ -35,9 +35,10 @@ _LIFT = 3e-4  # [m]
 _OUT = 0.008  # how far what belongs under a sheet may stick out of it [m]
 _OPEN_RAYS, _OPEN_REACH = 24, 0.45  # of self-shadow [m]
 _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of it
-# discs are seen half a pixel beyond where they end, so that they lie a little under the surface:
-# at 2 m and 480 x 360 this much leaves outlines of limbs, also before each other, where they are
-_INSET, _INSET_MOST = 1.3, 0.4  # in their standard deviations, and of the thickness of a part
+# discs are seen half a pixel beyond where they end, so that they lie a little under the surface
+_INSET, _INSET_MOST = 0.65, 0.3  # in their standard deviations, and of the thickness of a part
+# clothes, which nobody looks at closely, are tighter: less of them hangs over hems and limbs
+_CLOTH_SIZE, _CLOTH_INSET, _CLOTH_MOST = 0.92, 1.2, 0.4
 _END = 1.5  # standard deviations from its middle where a strand ends
 
 
@@ -307,8 +308,11 @@ def _lay_discs(
     layer = dressed.layers[number]
     assert sheet.cell is not None
     along, wide = disc_axes(normal, sheet.cell)
-    inset = _INSET * np.sqrt(wide[:, 0] * wide[:, 1]) * (layer.part != "eyes")
-    inset = np.minimum(inset, _INSET_MOST * dressed.depth(point, normal, number))
+    deep, most = _INSET * (layer.part != "eyes"), _INSET_MOST
+    if layer.part not in ("skin", "eyes"):
+        wide, deep, most = _CLOTH_SIZE * wide, _CLOTH_INSET, _CLOTH_MOST
+    inset = deep * np.sqrt(wide[:, 0] * wide[:, 1])
+    inset = np.minimum(inset, most * dressed.depth(point, normal, number))
     return _Cover(
         sheet=sheet,
         surface=point,

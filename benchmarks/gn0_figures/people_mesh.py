@@ -174,4 +174,4 @@ def _plain(name: str, value: float, detail: str) -> FigureRow:
     return FigureRow(name=name, value=value, unit="dB", detail=detail)
 
 
-FIGURES = [Figure("avatars.mesh", "People beside their traced meshes", measure_mesh, 6.0)]
+FIGURES = [Figure("avatars.mesh", "People beside their traced meshes", measure_mesh, 15.0)]

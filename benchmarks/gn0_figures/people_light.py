@@ -43,12 +43,12 @@ class LitScene:
     grid: OccupancyGrid
 
 
-def light_scene(kind: KindName, seed: int) -> LitScene:
-    """The small scene of a kind and seed, in draft light."""
+def light_scene(kind: KindName, seed: int, density: float = DENSITY) -> LitScene:
+    """The small scene of a kind and seed, in draft light, of splats a m² of floor."""
     draft = KINDS[kind].draft(seed, size="small", style=None)
     shader = light_draft(draft, quality="draft", seed=seed)
     assert isinstance(shader, BakedShader)
-    count = int(DENSITY * floor_area(draft))
+    count = int(density * floor_area(draft))
     cloud, _ = cover_outlined(draft, shader, count, quality="draft", seed=seed)
     return LitScene(draft, shader, cloud, build_occupancy(draft.mesh))
 

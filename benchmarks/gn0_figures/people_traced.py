@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.avatars.avatar import TO_WORLD
+from gn0.avatars.avatar import TO_WORLD, Avatar
 from gn0.avatars.body import BodyShape
 from gn0.avatars.identity import Identity
 from gn0.avatars.layer import Fitting, Layer, smooth_normals
-from gn0.avatars.person import dress_identity, shape_identity, space_layers
+from gn0.avatars.person import dress_identity, paint_person, shape_identity, space_layers
 from gn0.avatars.person_paint import paint_surfels
 from gn0.avatars.sampling import SheetPoints
 from gn0.avatars.skin_paint import FacePlaces, find_face
@@ -71,6 +71,10 @@ class MeshPerson:
         spacing = space_layers(layers, shape, 1.0)
         discs = cover_layers(layers, spacing, fitting, random_stream(identity.seed, "surfels"))
         return cls(identity, shape, fitting, face, layers, discs)
+
+    def avatar(self) -> Avatar:
+        """The person of Gaussians, as `build_person` makes it."""
+        return paint_person(self.identity, self.layers, self.surfels, self.shape, self.face)
 
     @cached_property
     def dressed(self) -> DressedBody:

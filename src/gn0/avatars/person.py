@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from gn0.avatars.skin_paint import (
     FacePlaces,
     find_face,
 )
-from gn0.avatars.surfels import cover_layers
+from gn0.avatars.surfels import Surfels, cover_layers
 from gn0.avatars.wardrobe import BOTTOMS, TOPS, dress_extras
 from gn0.geometry import F64
 from gn0.seeds import random_stream
@@ -67,13 +68,26 @@ def build_person(identity: Identity, *, name: str = "", density: float = 1.0) ->
         name: how it is called; by its seed without one.
         density: splats a person, relative.
     """
-    stream = random_stream(identity.seed, "person")
     shape = shape_identity(identity)
     fitting = Fitting.of(shape)
     face = find_face(shape.vertices, shape.joints)
     layers = dress_identity(identity, fitting, face)
     spacing = space_layers(layers, shape, density)
     surfels = cover_layers(layers, spacing, fitting, random_stream(identity.seed, "surfels"))
+    return paint_person(identity, layers, surfels, shape, face, name=name)
+
+
+def paint_person(
+    identity: Identity,
+    layers: Sequence[Layer],
+    surfels: Surfels,
+    shape: BodyShape,
+    face: FacePlaces,
+    *,
+    name: str = "",
+) -> Avatar:
+    """The avatar of discs that cover the sheets of a person; see `build_person`."""
+    stream = random_stream(identity.seed, "person")
     albedo = paint_surfels(identity, layers, surfels, shape, face, stream)
     return Avatar(
         name=name or f"gn0-{identity.seed}",

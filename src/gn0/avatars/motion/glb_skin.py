@@ -180,18 +180,7 @@ def open_gltf_rest(data: bytes, file: Path | str, stack: ExitStack) -> GltfRest:
         )  # fmt: skip
     buffers = _open_buffers(document, source, binary, stack)
 
-    def rows(number: int, width: int, field: str) -> F64:
-        found = find_rows(document, buffers, number, (width,), field, source)
-        if found.count * width > _RATIO:
-            raise source.refuse(f"accessor {number} of {found.count} rows is not read", field=field)
-        return as_numbers(found.read(0, found.count))
-
-    skin = max(rig.skins, key=lambda skin: len(skin.joints))
-    if not 1 <= len(skin.joints) <= JOINT_LIMIT:
-        raise source.refuse(
-            f"a skin of {len(skin.joints)} joints is not read (1 to {JOINT_LIMIT} are)", None,
-            field="skins.joints",
-        )  # fmt: skip
+    rows, skin = _row_reader(document, buffers, source), _largest_skin(rig, source)
     order, above = _joint_order(rig, skin, source)
     still = np.zeros(1)
     local = np.concatenate([_matrices(rig, k, {}, still, source) for k in range(len(rig.nodes))])
@@ -308,20 +297,21 @@ def _open_buffers(
     return buffers
 
 
-def _read(
-    rig: _Rig,
-    chosen: int,
-    names: tuple[str, ...],
-    document: GltfDocument,
-    buffers: list[GltfBuffer],
-    source: FileSource,
-) -> RigMotion:
+def _row_reader(
+    document: GltfDocument, buffers: list[GltfBuffer], source: FileSource
+) -> Callable[[int, int, str], F64]:
+    """Reads an accessor by number, width and the field that names it."""
+
     def rows(number: int, width: int, field: str) -> F64:
         found = find_rows(document, buffers, number, (width,), field, source)
         if found.count * width > _RATIO:
             raise source.refuse(f"accessor {number} of {found.count} rows is not read", field=field)
         return as_numbers(found.read(0, found.count))
 
+    return rows
+
+
+def _largest_skin(rig: _Rig, source: FileSource) -> _Skin:
     skin = max(rig.skins, key=lambda skin: len(skin.joints))
     if not 1 <= len(skin.joints) <= JOINT_LIMIT:
         raise source.refuse(
@@ -330,6 +320,18 @@ def _read(
             field="skins.joints",
             remedy="export the skeleton of one person",
         )
+    return skin
+
+
+def _read(
+    rig: _Rig,
+    chosen: int,
+    names: tuple[str, ...],
+    document: GltfDocument,
+    buffers: list[GltfBuffer],
+    source: FileSource,
+) -> RigMotion:
+    rows, skin = _row_reader(document, buffers, source), _largest_skin(rig, source)
     order, above = _joint_order(rig, skin, source)
     animation = rig.animations[chosen]
     keys = _read_keys(animation, set(order), rows, source)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import json
 import math
@@ -24,13 +23,12 @@ from gn0.data.dataset import (
 from gn0.data.episode_frames import read_frames
 from gn0.data.expert_labels import label_states
 from gn0.data.picture_build import render_dataset
-from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
+from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
 from gn0.data.verify import verify_dataset
-from gn0.errors import BenchError, DataError, EpisodeError, FormatError, StorageError
+from gn0.errors import BenchError, DataError, FormatError, StorageError
 from gn0.geometry import Pose2D, agent_to_world
 from gn0.locked_folder import lock_folder
 from gn0.paper import ACTIONS_AHEAD
-from gn0.people.person import EpisodePerson
 from gn0.scenes.folder import load_scene
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.sim.open import open_simulator
@@ -42,19 +40,6 @@ def test_two_workers_write_the_bytes_of_one(
 ) -> None:
     build_dataset(data_suite, tmp_path / "two", settings_of(), workers=2)
     assert files_of(tmp_path / "two") == files_of(webdataset.folder)
-
-
-def test_a_policy_is_not_driven_among_people_as_if_nobody_were_there(
-    data_suite, settings_of, tmp_path
-) -> None:
-    first, *others = data_suite.episodes
-    spot = ((first.start[0] + 2.0, first.start[1]),)
-    somebody = EpisodePerson(number=1, identity="drawn:0:1", path=spot, behaviour="stand")
-    crowded = (msgspec.structs.replace(first, people=(somebody,)), *others)
-    suite = dataclasses.replace(data_suite, episodes=crowded)
-    settings = msgspec.structs.replace(settings_of(), dagger=DaggerSettings(policy="random"))
-    with pytest.raises(EpisodeError, match=r"dagger` do not show people yet.*--people"):
-        build_dataset(suite, tmp_path / "d", settings)
 
 
 def test_labels_first_and_pictures_later_is_the_same(labels_only, webdataset, copy_of, files_of):

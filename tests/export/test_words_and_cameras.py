@@ -48,7 +48,7 @@ def test_runs_are_the_moves(moves: list[int]) -> None:
 @given(MOVES)
 def test_amounts_add_up(moves: list[int]) -> None:
     """Centimetres and degrees of all answers are those of all moves; each is of at most three."""
-    decisions = merge_amounts(moves, 0.25, 15.0)
+    decisions = merge_amounts([*moves, 0], 0.25, 15.0)
     assert decisions[-1] == (len(moves), "stop")
     centimetres = sum(int(d.answer.split()[2]) for d in decisions if d.answer.startswith("move"))
     degrees = {
@@ -61,7 +61,7 @@ def test_amounts_add_up(moves: list[int]) -> None:
 
 
 def test_amounts_are_told_as_navid_tells_them() -> None:
-    answers = [d.answer for d in merge_amounts([1, 1, 1, 1, 2, 2, 3], 0.25, 15.0)]
+    answers = [d.answer for d in merge_amounts([1, 1, 1, 1, 2, 2, 3, 0], 0.25, 15.0)]
     assert answers == [
         "move forward 75 cm", "move forward 25 cm", "turn left 30 degrees",
         "turn right 15 degrees", "stop",

@@ -201,7 +201,7 @@ class EpisodeStore:
             raise ConfigError("no sensor here shows a map", remedy="carry the sensor ego_map")
         look = self._looks.get(name) or self._bring_look(name)
         look.users += 1
-        return look.pointers, look.frame, look.shape
+        return look.pointers[:2], look.frame, look.shape
 
     def picture_bytes(self, name: str) -> tuple[int, int]:
         """Bytes of the grey and of the coloured picture of a look that is held; 0 without it."""

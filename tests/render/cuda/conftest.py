@@ -63,9 +63,9 @@ class DrawerCpu(Drawer):
 
     def draw(
         self, camera, matrices, clouds, cloud_of, *, tails=(), tail_of=None, pictures, rows=None,
-        background, antialiased=False, floors=None, instances=None,
+        background, antialiased=False, floors=None, instances=None, who=False,
     ) -> None:  # fmt: skip
-        assert instances is None, "this drawer knows none"
+        assert instances is None and not who, "this drawer knows none"
         if floors is not None:
             raise SetMissingError("this drawer finds no sets")
         if isinstance(matrices, DeviceArray):

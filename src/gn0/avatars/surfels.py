@@ -37,8 +37,6 @@ _OPEN_RAYS, _OPEN_REACH = 24, 0.45  # of self-shadow [m]
 _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of it
 # discs are seen half a pixel beyond where they end, so that they lie a little under the surface
 _INSET, _INSET_MOST = 0.65, 0.3  # in their standard deviations, and of the thickness of a part
-# clothes, which nobody looks at closely, are tighter: less of them hangs over hems and limbs
-_CLOTH_SIZE, _CLOTH_INSET, _CLOTH_MOST = 0.92, 1.2, 0.4
 _END = 1.5  # standard deviations from its middle where a strand ends
 
 
@@ -308,11 +306,8 @@ def _lay_discs(
     layer = dressed.layers[number]
     assert sheet.cell is not None
     along, wide = disc_axes(normal, sheet.cell)
-    deep, most = _INSET * (layer.part != "eyes"), _INSET_MOST
-    if layer.part not in ("skin", "eyes"):
-        wide, deep, most = _CLOTH_SIZE * wide, _CLOTH_INSET, _CLOTH_MOST
-    inset = deep * np.sqrt(wide[:, 0] * wide[:, 1])
-    inset = np.minimum(inset, most * dressed.depth(point, normal, number))
+    inset = _INSET * np.sqrt(wide[:, 0] * wide[:, 1]) * (layer.part != "eyes")
+    inset = np.minimum(inset, _INSET_MOST * dressed.depth(point, normal, number))
     return _Cover(
         sheet=sheet,
         surface=point,

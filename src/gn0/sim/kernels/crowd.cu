@@ -156,7 +156,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
     __syncthreads();
     if (walks) {
       Around around = {old_x + lane,  old_y + lane,   claims + lane,   agent_x[lane],
-                       agent_y[lane], c.agent_radius, c.person_radius, persons, p};
+                       agent_y[lane], c.agent_radius, c.person_radius, persons, p, 0};
       tick_person(q, r, *e, pace, around);
       new_x[mine] = q.x;
       new_y[mine] = q.y;

@@ -172,7 +172,7 @@ __device__ __forceinline__ void turn_back(Person &q, const Route &r, const Pace 
 
 // A tick beside the path, around whoever is on it.
 __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &e,
-                                      const Pace &pace, const Around &a) {
+                                      const Pace &pace, Around &a) {
   // cosines and sines of 0, 20, ... 120 degrees, and which of them are tried, the straightest first
   const double cosines[7] = {1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693033,
                              -0.17364817766693033, -0.5};
@@ -200,6 +200,7 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
   double way = nearest_way(r, q.way, q.piece, sign, x, y, aside, piece);
   Spot home = place_at(r, way, piece);
   if (q.aside_left > 0) {
+    a.near = find_near(a, x, y, 1.2);
     make_room(q, e, pace, a, home.x, home.y);
     return;
   }
@@ -210,6 +211,7 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
   double step = 0.5 * (v + now) * dt;
   double bx = 0.0, by = 0.0, best = -1e30;
   int who;
+  a.near = find_near(a, x, y, 1.0);
   if (aside <= HOME) {
     room_ahead(a, r, way, piece, sign, 0.6, who);
     Spot s = place_at(r, way, piece);

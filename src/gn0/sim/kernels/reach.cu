@@ -88,6 +88,7 @@ struct Around {
   double agent_x, agent_y;
   double agent_radius, radius;  // m, of the agent and of people
   int count, p;                 // people, and who is looking
+  u32 near;                     // who is looked at, see `find_near`
 };
 
 // As Numba has them: which zero is kept shows in the bits.
@@ -147,18 +148,33 @@ __device__ __forceinline__ double cap_speed(double v, double after, double room,
   return inside > 0.0 ? most_of(sqrt(inside) - half, 0.0) : 0.0;
 }
 
+// Whose bodies are nearer than `gap` [m], in bits: 1 the agent, 2 << j person j. What is farther
+// costs time and changes nothing, as in reach.py.
+__device__ __forceinline__ u32 find_near(const Around &a, double x, double y, double gap) {
+  double dx = a.agent_x - x, dy = a.agent_y - y, reach = a.radius + a.agent_radius + gap;
+  u32 near = dx * dx + dy * dy < reach * reach ? 1u : 0u;
+  reach = 2.0 * a.radius + gap;
+  reach = reach * reach;
+#pragma unroll 4  // nobody's place waits for another's
+  for (int j = 0; j < a.count; j++) {
+    double ox = a.x0[j * LANES] - x, oy = a.y0[j * LANES] - y;
+    if (ox * ox + oy * oy < reach) near |= 2u << j;
+  }
+  return near & ~(2u << a.p);
+}
+
 // Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least.
 __device__ __forceinline__ double share_allowed(const Person &q, const Around &a, double nx,
                                                 double ny, int &who) {
   double x = q.x0, y = q.y0, sx = nx - x, sy = ny - y, share = 1.0;
   who = NOBODY;
 #pragma unroll 1
-  for (int j = -1; j < a.count; j++) {
-    if (j == a.p) continue;
+  for (u32 near = a.near; near; near &= near - 1) {
+    int j = __ffs((int)near) - 2;
     double dx, dy, reach;
     see(a, j, x, y, dx, dy, reach);
-    double square = dx * dx + dy * dy, near = reach + 0.5;
-    if (square > near * near) continue;
+    double square = dx * dx + dy * dy, seen = reach + 0.5;
+    if (square > seen * seen) continue;
     double along = sx * dx + sy * dy;
     if (along <= 0.0) continue;
     double apart = sqrt(square);
@@ -178,18 +194,6 @@ __device__ __forceinline__ double share_allowed(const Person &q, const Around &a
     }
   }
   return share;
-}
-
-// Whether anybody's middle is nearer than `reach` [m].
-__device__ __forceinline__ bool is_crowded(const Person &q, const Around &a, double reach) {
-#pragma unroll 1
-  for (int j = -1; j < a.count; j++) {
-    if (j == a.p) continue;
-    double dx, dy, unused;
-    see(a, j, q.x0, q.y0, dx, dy, unused);
-    if (dx * dx + dy * dy < reach * reach) return true;
-  }
-  return false;
 }
 
 // The piece of a path that a way is on.
@@ -220,7 +224,7 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
                                              int piece, int sign, double reach, int &who) {
   double gone = 0.0;
   who = NOBODY;
-  while (gone < reach) {
+  while (gone < reach && a.near) {
     double at = way + sign * gone;
     if (at > r.length) {
       if (r.after != LOOP) break;
@@ -235,13 +239,13 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
     piece = s.piece;
     double tx = sign * s.tx, ty = sign * s.ty, best = reach;
 #pragma unroll 1
-    for (int j = -1; j < a.count; j++) {
-      if (j == a.p) continue;
-      double dx, dy, near;
-      see(a, j, s.x, s.y, dx, dy, near);
-      near = near + 0.02;
+    for (u32 near = a.near; near; near &= near - 1) {
+      int j = __ffs((int)near) - 2;
+      double dx, dy, body;
+      see(a, j, s.x, s.y, dx, dy, body);
+      body = body + 0.02;
       double along = dx * tx + dy * ty, aside = dx * ty - dy * tx;
-      double under = near * near - aside * aside;
+      double under = body * body - aside * aside;
       if (along <= 0.0 || under <= 0.0) continue;
       double room = along - sqrt(under);
       if (room < SAMPLE) {  // of this sample's own; what is farther, later ones find
@@ -265,16 +269,15 @@ __device__ __forceinline__ bool is_free(const Episode &e, double x, double y) {
   return !(e.walls[row * e.cols + col] & WALL_NEAR);
 }
 
-// Least gap [m] to anybody from a place.
+// Least gap [m] to anybody near from a place.
 __device__ __forceinline__ double gap_at(const Around &a, double x, double y) {
   double least = SIGHT;
 #pragma unroll 1
-  for (int j = -1; j < a.count; j++) {
-    if (j == a.p) continue;
-    double dx, dy, near;
-    see(a, j, x, y, dx, dy, near);
+  for (u32 near = a.near; near; near &= near - 1) {
+    double dx, dy, body;
+    see(a, __ffs((int)near) - 2, x, y, dx, dy, body);
     double square = dx * dx + dy * dy;
-    if (square < (least + near) * (least + near)) least = sqrt(square) - near;
+    if (square < (least + body) * (least + body)) least = sqrt(square) - body;
   }
   return least;
 }

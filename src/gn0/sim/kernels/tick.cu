@@ -163,14 +163,21 @@ __device__ __forceinline__ bool yields_to(const Person &q, const Around &a, int 
 
 // A tick on the path.
 __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &e,
-                                      const Pace &pace, const Around &a) {
+                                      const Pace &pace, Around &a) {
   int sign = q.direction, piece = q.piece, held = q.hold, mode = q.mode;
   double way = q.way, hold_left = q.hold_left, v = q.speed;
   double ahead = SIGHT;
   int blocker = NOBODY;
   double reach = least_of(0.5 + v * v / (2.0 * BRAKE) + 0.25, SIGHT - 0.01);
-  bool near = mode == ON_PATH && hold_left <= 0.0 &&
-              is_crowded(q, a, reach + 2.0 * a.radius + 0.1);
+  a.near = 0;
+  if (mode == ON_PATH && hold_left <= 0.0) {
+    a.near = find_near(a, q.x0, q.y0, reach + 0.1);
+    if (a.near == 1 && a.agent_radius > a.radius) {  // by its middle, as people are
+      double dx = a.agent_x - q.x0, dy = a.agent_y - q.y0, within = reach + 2.0 * a.radius + 0.1;
+      if (dx * dx + dy * dy >= within * within) a.near = 0;
+    }
+  }
+  bool near = a.near != 0;
   if (near) {
     ahead = room_ahead(a, r, way, piece, sign, reach, blocker);
     if (blocker == NOBODY) ahead = SIGHT;
@@ -231,6 +238,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
       q.mode = ROUND;
       q.round_ticks = 0;
       q.wait = 0;
+      a.near = find_near(a, q.x0, q.y0, 1.2 + ROOM);
       q.side = choose_side(q.x, q.y, e, a, sign * s.tx, sign * s.ty);
       q.speed = 0.0;
     }
@@ -277,7 +285,7 @@ __device__ __forceinline__ void place_feet(Person &q, double hx, double hy) {
 
 // One person's next tick; its own last place is set already.
 __device__ __forceinline__ void tick_person(Person &q, const Route &r, const Episode &e,
-                                            const Pace &pace, const Around &a) {
+                                            const Pace &pace, Around &a) {
   int was = q.clip;
   double hx = q.hx, hy = q.hy;
   if (r.behaviour == SCRIPT) {

@@ -141,12 +141,10 @@ SOURCE = KernelSource(
         *((f"EGO_C{k}", value) for k, value in enumerate(SERIES)),
     ),
 )
+_PEOPLE = ("world", "step", "reach", "weigh", "detour", "tick", "crowd", "follow", "shown")
 PEOPLE = KernelSource(
     "people",
-    tuple(
-        KERNELS / f"{part}.cu"
-        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow", "shown")
-    ),
+    tuple(KERNELS / f"{part}.cu" for part in _PEOPLE),
     (
         *SOURCE.defines,
         ("CROWD_BYTES", CROWD.itemsize),

@@ -116,9 +116,13 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
   __shared__ double new_x[PEOPLE_MOST * LANES], new_y[PEOPLE_MOST * LANES];
   __shared__ double agent_x[LANES], agent_y[LANES];
   __shared__ i64 claims[PEOPLE_MOST * LANES];
+  __shared__ Task tasks[TASKS];
+  __shared__ double scores[TASKS][CANDIDATES_MOST];
+  __shared__ u16 items[TASKS * CANDIDATES_MOST];  // candidates: task * 16 + number
+  __shared__ int asked, weighed;  // people who have a task, candidates that are in `items`
   if (w.status[0] != CLEAR) return;  // all threads alike
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
-  int mine = p * LANES + lane;
+  int mine = p * LANES + lane, thread = mine, threads = blockDim.x * blockDim.y;
   const Episode *e = i < w.count ? w.episodes + w.slot[i] : nullptr;
   int persons = e ? e->persons : 0;
   bool walks = p < persons, leads = p == 0 && persons > 0;
@@ -126,6 +130,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
   Pace pace = {c.tick_seconds, c.tick_cos, c.tick_sin, c.rate, c.parts};
   Person q;
   Route r;
+  Task task;
   double2 start, end;  // of the agent's move as if nobody were there
   double dx, dy;
   i64 person = 0, by = 0, at = 0;
@@ -145,6 +150,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
     dy = y1 - start.y;
     cut = go_to(c, *e, end, x1, y1);
   }
+  if (thread == 0) asked = weighed = 0;
 #pragma unroll 1
   for (int tick = 1; tick <= c.ticks; tick++) {
     if (walks) {
@@ -154,10 +160,52 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
       claims[mine] = r.behaviour == SCRIPT ? q.claim : ~q.claim;
     }
     __syncthreads();
+    double hx, hy;
+    Around around;
+    int number = -1;  // of its task; their order shows nowhere
     if (walks) {
-      Around around = {old_x + lane,  old_y + lane,   claims + lane,   agent_x[lane],
-                       agent_y[lane], c.agent_radius, c.person_radius, persons, p, 0};
-      tick_person(q, r, *e, pace, around);
+      hx = q.hx;
+      hy = q.hy;
+      around = {old_x + lane,  old_y + lane,   claims + lane,   agent_x[lane],
+                agent_y[lane], c.agent_radius, c.person_radius, persons,       p, 0};
+      begin_tick(q, r, *e, pace, around, task);
+      if (task.kind != NO_TASK) {
+        task.lane = lane;
+        number = atomicAdd(&asked, 1);
+      }
+    }
+    __syncthreads();
+    int all = asked;
+#pragma unroll 1
+    for (int first = 0; first < all; first += TASKS) {
+      int slot = number - first;
+      bool now = number >= first && slot < TASKS;
+      if (now) {
+        tasks[slot] = task;
+        int at = atomicAdd(&weighed, task.count);
+        for (int k = 0; k < task.count; k++) items[at + k] = slot * 16 + k;
+      }
+      __syncthreads();
+      int count = weighed;
+      for (int n = thread; n < count; n += threads) {
+        const Task &t = tasks[items[n] >> 4];
+        int l = t.lane, candidate = items[n] & 15;
+        Around other = {old_x + l,  old_y + l,      claims + l,      agent_x[l],
+                        agent_y[l], c.agent_radius, c.person_radius, t.episode->persons, t.p, t.near};
+        scores[items[n] >> 4][candidate] = weigh(t, candidate, other);
+      }
+      __syncthreads();
+      if (now) {
+        Person copy = q;
+        do_chosen(copy, *e, pace, around, task, scores[slot]);
+        q = copy;
+      }
+      if (thread == 0) weighed = 0;
+      __syncthreads();
+    }
+    if (thread == 0 && all > 0) asked = 0;
+    if (walks) {
+      end_tick(q, r, pace, hx, hy);
       new_x[mine] = q.x;
       new_y[mine] = q.y;
     }

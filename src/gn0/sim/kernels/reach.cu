@@ -163,10 +163,10 @@ __device__ __forceinline__ u32 find_near(const Around &a, double x, double y, do
   return near & ~(2u << a.p);
 }
 
-// Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least.
-__device__ __forceinline__ double share_allowed(const Person &q, const Around &a, double nx,
+// Share of the step from (x, y) to (nx, ny) that half of every gap allows, 1 all; and who allows least.
+__device__ __forceinline__ double share_allowed(double x, double y, const Around &a, double nx,
                                                 double ny, int &who) {
-  double x = q.x0, y = q.y0, sx = nx - x, sy = ny - y, share = 1.0;
+  double sx = nx - x, sy = ny - y, share = 1.0;
   who = NOBODY;
 #pragma unroll 1
   for (u32 near = a.near; near; near &= near - 1) {
@@ -262,11 +262,71 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
   return reach;
 }
 
-// Whether a person's centre may be there, as far as walls go.
-__device__ __forceinline__ bool is_free(const Episode &e, double x, double y) {
-  i64 col = (i64)floor((x - e.x) / e.resolution), row = (i64)floor((y - e.y) / e.resolution);
-  if (row < 0 || col < 0 || row >= e.rows || col >= e.cols) return false;
-  return !(e.walls[row * e.cols + col] & WALL_NEAR);
+// Where walls are.
+struct Ground {
+  const Episode *episode;
+  const u8 *walls;
+  double x, y, per;  // of the map: its origin [m], cells a metre
+  int rows, cols;
+};
+
+__device__ __forceinline__ Ground ground_of(const Episode &e) {
+  Ground g = {&e, e.walls, e.x, e.y, 1.0 / e.resolution, e.rows, e.cols};
+  return g;
+}
+
+// Number of the cell of a place, -1 beyond the map, as reach.py divides.
+__device__ __noinline__ int find_cell(const Episode *e, double x, double y) {
+  i64 col = (i64)floor((x - e->x) / e->resolution), row = (i64)floor((y - e->y) / e->resolution);
+  if (row < 0 || col < 0 || row >= e->rows || col >= e->cols) return -1;
+  return (int)(row * e->cols + col);
+}
+
+#define UNSURE 1e-6  // cells: a product and a quotient of numbers below 1e6 are nearer by far
+
+// The same by a product, which is quicker; `sure` turns false where it may be another cell's.
+__device__ __forceinline__ int guess_cell(const Ground &g, double x, double y, bool &sure) {
+  double u = (x - g.x) * g.per, v = (y - g.y) * g.per;
+  double left = floor(u), low = floor(v), a = u - left, b = v - low;
+  sure = sure && fabs(u) < 1e6 && fabs(v) < 1e6 && a > UNSURE && a < 1.0 - UNSURE && b > UNSURE &&
+         b < 1.0 - UNSURE;
+  int col = sure ? (int)left : -1, row = sure ? (int)low : -1;
+  return row >= 0 && col >= 0 && row < g.rows && col < g.cols ? row * g.cols + col : -1;
+}
+
+// Whether a person's centre may be at all of some places, as far as walls go. None waits for another.
+template <int N>
+__device__ __forceinline__ bool are_free(const Ground &g, const double *x, const double *y) {
+  int cells[N];
+  bool sure = true, inside = true;
+#pragma unroll
+  for (int k = 0; k < N; k++) cells[k] = guess_cell(g, x[k], y[k], sure);
+  if (!sure) {
+#pragma unroll
+    for (int k = 0; k < N; k++) cells[k] = find_cell(g.episode, x[k], y[k]);
+  }
+  u8 walls = 0;
+#pragma unroll
+  for (int k = 0; k < N; k++) {
+    inside = inside && cells[k] >= 0;
+    walls |= g.walls[cells[k] < 0 ? 0 : cells[k]];
+  }
+  return inside && !(walls & WALL_NEAR);
+}
+
+__device__ __forceinline__ bool is_free(const Ground &g, double x, double y) {
+  return are_free<1>(g, &x, &y);
+}
+
+// Whether five places of a short line are free of walls.
+__device__ __forceinline__ bool clear_line(const Ground &g, double x, double y, double u, double v) {
+  double xs[5], ys[5];
+#pragma unroll
+  for (int k = 0; k < 5; k++) {
+    xs[k] = x + (u - x) * (0.2 * (k + 1));
+    ys[k] = y + (v - y) * (0.2 * (k + 1));
+  }
+  return are_free<5>(g, xs, ys);
 }
 
 // Least gap [m] to anybody near from a place.

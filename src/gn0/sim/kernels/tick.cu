@@ -162,8 +162,8 @@ __device__ __forceinline__ bool yields_to(const Person &q, const Around &a, int 
 }
 
 // A tick on the path.
-__device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &e,
-                                      const Pace &pace, Around &a) {
+__device__ __forceinline__ void go_on(Person &q, const Route &r, const Pace &pace,
+                                      Around &a, Task &t) {
   int sign = q.direction, piece = q.piece, held = q.hold, mode = q.mode;
   double way = q.way, hold_left = q.hold_left, v = q.speed;
   double ahead = SIGHT;
@@ -189,7 +189,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   bool clear = blocker == NOBODY || (room > 0.0 && 2.0 * BRAKE * room >= v * v);
   if (clear && v > 0.0 && cruise(q, r, pace)) {
     int who;
-    if (!near || share_allowed(q, a, q.x, q.y, who) >= 1.0) return;
+    if (!near || share_allowed(q.x0, q.y0, a, q.x, q.y, who) >= 1.0) return;
     q.way = way;
     q.x = q.x0;
     q.y = q.y0;
@@ -202,7 +202,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   Spot s = place_at(r, q.way, q.piece);
   if (near && gone > 0.0) {
     int who;
-    double share = share_allowed(q, a, s.x, s.y, who);
+    double share = share_allowed(q.x0, q.y0, a, s.x, s.y, who);
     if (share < 1.0) {  // less of the way, as if the tick had brought no more
       blocker = who;
       gone = gone * share * 0.999;
@@ -212,7 +212,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
         there = way;
       }
       s = place_at(r, there, piece);
-      share = share_allowed(q, a, s.x, s.y, who);
+      share = share_allowed(q.x0, q.y0, a, s.x, s.y, who);
       if (share < 1.0) {
         gone = 0.0;
         there = way;
@@ -239,8 +239,13 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
       q.round_ticks = 0;
       q.wait = 0;
       a.near = find_near(a, q.x0, q.y0, 1.2 + ROOM);
-      q.side = choose_side(q.x, q.y, e, a, sign * s.tx, sign * s.ty);
       q.speed = 0.0;
+      t.x = q.x;
+      t.y = q.y;
+      t.ux = sign * s.tx;
+      t.uy = sign * s.ty;
+      t.kind = SIDES;
+      t.count = 6;
     }
   } else {
     q.wait = 0;
@@ -283,29 +288,38 @@ __device__ __forceinline__ void place_feet(Person &q, double hx, double hy) {
   }
 }
 
-// One person's next tick; its own last place is set already.
-__device__ __forceinline__ void tick_person(Person &q, const Route &r, const Episode &e,
-                                            const Pace &pace, Around &a) {
+// One person's next tick, up to a choice that `t` tells of; its own last place is set already.
+__device__ __forceinline__ void begin_tick(Person &q, const Route &r, const Episode &e,
+                                           const Pace &pace, Around &a, Task &t) {
+  t.kind = NO_TASK;
+  if (r.behaviour != SCRIPT) return;
+  q.blocked_by = NOBODY;
+  if (q.back_left > 0) {
+    q.back_left--;
+    if (q.back_left == 0 && q.mode == ON_PATH) q.direction = 1;
+    else if (q.back_left == 0) q.back_left = 1;
+  }
+  if (q.lent_left > 0) {
+    q.lent_left--;
+    if (q.lent_left == 0) q.claim = r.right;
+  }
+  if (q.mode == ROUND) {
+    Person copy = q;  // whose address is taken lies in memory: not the one in registers
+    go_round(copy, r, e, pace, a, t);
+    q = copy;
+  } else {
+    go_on(q, r, pace, a, t);
+  }
+  t.near = a.near;
+  t.p = a.p;
+  t.episode = &e;
+}
+
+// What a tick was for looks, of one that began with a heading.
+__device__ __forceinline__ void end_tick(Person &q, const Route &r, const Pace &pace, double hx,
+                                         double hy) {
   int was = q.clip;
-  double hx = q.hx, hy = q.hy;
   if (r.behaviour == SCRIPT) {
-    q.blocked_by = NOBODY;
-    if (q.back_left > 0) {
-      q.back_left--;
-      if (q.back_left == 0 && q.mode == ON_PATH) q.direction = 1;
-      else if (q.back_left == 0) q.back_left = 1;
-    }
-    if (q.lent_left > 0) {
-      q.lent_left--;
-      if (q.lent_left == 0) q.claim = r.right;
-    }
-    if (q.mode == ROUND) {
-      Person copy = q;  // whose address is taken lies in memory: not the one in registers
-      go_round(copy, r, e, pace, a);
-      q = copy;
-    } else {
-      go_on(q, r, e, pace, a);
-    }
     double dx = q.x - q.x0, dy = q.y - q.y0;
     double gone = sqrt(dx * dx + dy * dy);
     q.walked += gone;

@@ -37,7 +37,7 @@ from gn0.sim.device_records import (
     WidenCrowd,
 )
 
-LANES = 32  # environments a block of `move_people`; `reach.cu` has the same
+LANES = 8  # environments a block of `move_people`; `reach.cu` has the same
 KEPT = ("people_real", "people_whole")  # rows of saved states
 
 

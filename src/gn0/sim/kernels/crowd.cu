@@ -1,8 +1,8 @@
 // Agents among people: each action in its ticks, as sim/batch_people_kernels.py has it, and what
 // begins, ends, is told and is kept of people.
 
-// The people of N environments. Columns come first and environments last, so that a warp, whose
-// lanes are neighbours, reads and writes whole lines.
+// The people of N environments. Columns come first and environments last, so that neighbours
+// in a warp read and write whole sectors.
 struct Crowd {
   double *real;        // [REALS, places, N]
   i64 *whole;          // [WHOLES, places, N]
@@ -109,9 +109,10 @@ __device__ __noinline__ bool go_to(const Crowd &c, const Episode &e, double2 &p,
   return c.slides ? slide(e, p.x, p.y, x, y) : trace(e, p.x, p.y, x, y);
 }
 
-// Everybody through the ticks of an action, and the agents that go ahead. A block is 32 environments
+// Everybody through the ticks of an action, and the agents that go ahead. A block is LANES environments
 // wide and as many people high. A thread keeps its person; what others see of it is in shared memory.
-KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *codes) {
+// Small blocks wait less for each other and leave a thread all the registers that it wants.
+KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const u8 *codes) {
   __shared__ double old_x[PEOPLE_MOST * LANES], old_y[PEOPLE_MOST * LANES];  // a tick ago
   __shared__ double new_x[PEOPLE_MOST * LANES], new_y[PEOPLE_MOST * LANES];
   __shared__ double agent_x[LANES], agent_y[LANES];

@@ -2,7 +2,7 @@
 // all others of its warp wait; so each writes down what it asks, and the threads of a block share
 // out the candidates of everybody. What is chosen is what gn0/people/detour.py chooses, one by one.
 
-#define TASKS 64           // people of a block whose candidates are weighed at once
+#define TASKS 32           // people of a block whose candidates are weighed at once
 #define CANDIDATES_MOST 13
 #define REFUSED -1e30      // a score that no candidate has
 

@@ -7,6 +7,7 @@ __device__ __forceinline__ double nearest_way(const Route &r, double way, int pi
                                               double x, double y, double &distance, int &where) {
   double best = 1e30, found = way, gone = 0.0;
   where = piece;
+#pragma unroll 1
   for (int k = piece; 0 <= k && k <= r.last && gone < 3.0; k += sign) {
     const double *point = point_of(r, k);
     double low = point[4], high = point_of(r, k + 1)[4];
@@ -170,14 +171,17 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
     q.way = r.length;
     q.piece = r.last;
   }
-  double aside;
+  double aside, way;
   int piece;
-  if (q.round_ticks > ROUND_SECONDS * pace.rate || q.wait > NO_WAY_SECONDS * pace.rate) {
-    nearest_way(r, q.way, q.piece, q.direction, x, y, aside, piece);
+  bool gives_up = q.round_ticks > ROUND_SECONDS * pace.rate || q.wait > NO_WAY_SECONDS * pace.rate;
+#pragma unroll 1
+  while (true) {
+    way = nearest_way(r, q.way, q.piece, q.direction, x, y, aside, piece);
+    if (!gives_up) break;
     turn_back(q, r, pace, a, aside);
+    gives_up = false;
   }
   int sign = q.direction;
-  double way = nearest_way(r, q.way, q.piece, sign, x, y, aside, piece);
   Spot home = place_at(r, way, piece);
   if (q.aside_left > 0) {
     look_for_room(q, e, pace, a, home.x, home.y, t);
@@ -197,9 +201,8 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
   a.near = find_near(a, x, y, 1.0);
   if (aside <= HOME) {
     room_ahead(a, r, way, piece, sign, 0.6, who);
-    Spot s = place_at(r, way, piece);
-    double nx = s.x, ny = s.y;
-    piece = s.piece;
+    double nx = home.x, ny = home.y;
+    piece = home.piece;
     if (who == NOBODY && clear_line(g, x, y, nx, ny)) {
       bool near = aside <= step + 0.005;
       double ux = 0.0, uy = 0.0;
@@ -215,7 +218,7 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
         q.x = nx;
         q.y = ny;
         q.speed = near ? aside / dt : now;
-        turn_to(q, pace, sign * s.tx, sign * s.ty, pace.seconds);
+        turn_to(q, pace, sign * home.tx, sign * home.ty, pace.seconds);
         if (near) come_home(q, r, way, piece);
         return;
       }

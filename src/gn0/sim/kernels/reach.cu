@@ -111,6 +111,22 @@ __device__ __forceinline__ void see(const Around &a, int j, double x, double y, 
   }
 }
 
+// Cosine and sine of so much of the arc of a tick, along its chord. These two are called, not
+// written out where they are wanted: roots and quotients are long, and code must come from somewhere.
+__device__ __noinline__ double2 share_arc(double cos, double sin, double share) {
+  cos = 1.0 - share + share * cos;
+  sin = share * sin;
+  double size = sqrt(cos * cos + sin * sin);
+  return make_double2(cos / size, sin / size);
+}
+
+// A unit vector turned.
+__device__ __noinline__ double2 turn_vector(double hx, double hy, double cos, double sin) {
+  double nx = hx * cos - hy * sin, ny = hx * sin + hy * cos;
+  double size = sqrt(nx * nx + ny * ny);
+  return make_double2(nx / size, ny / size);
+}
+
 // Turn towards a unit vector, by as much as a body may; the cosine that is left.
 __device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx, double ty,
                                           double seconds) {
@@ -118,13 +134,10 @@ __device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx
   if (hx == tx && hy == ty) return 1.0;
   double cosine = hx * tx + hy * ty;
   double cos = pace.cos, sin = pace.sin;
-  if (seconds < pace.seconds) {  // so much of the arc of a tick, along its chord
-    double share = seconds / pace.seconds;
-    cos = 1.0 - share + share * cos;
-    sin = share * sin;
-    double size = sqrt(cos * cos + sin * sin);
-    cos = cos / size;
-    sin = sin / size;
+  if (seconds < pace.seconds) {
+    double2 arc = share_arc(cos, sin, seconds / pace.seconds);
+    cos = arc.x;
+    sin = arc.y;
   }
   if (cosine >= cos) {
     q.hx = tx;
@@ -132,13 +145,10 @@ __device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx
     return 1.0;
   }
   if (hx * ty - hy * tx < 0.0) sin = -sin;
-  double nx = hx * cos - hy * sin, ny = hx * sin + hy * cos;
-  double size = sqrt(nx * nx + ny * ny);
-  nx = nx / size;
-  ny = ny / size;
-  q.hx = nx;
-  q.hy = ny;
-  return nx * tx + ny * ty;
+  double2 turned = turn_vector(hx, hy, cos, sin);
+  q.hx = turned.x;
+  q.hy = turned.y;
+  return turned.x * tx + turned.y * ty;
 }
 
 // Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m].
@@ -199,7 +209,9 @@ __device__ __forceinline__ double share_allowed(double x, double y, const Around
 // The piece of a path that a way is on.
 __device__ __forceinline__ int piece_at(const Route &r, double way, int piece) {
   int k = piece;
+#pragma unroll 1
   while (k < r.last && way >= point_of(r, k + 1)[4]) k++;
+#pragma unroll 1
   while (k > 0 && way < point_of(r, k)[4]) k--;
   return k;
 }
@@ -224,6 +236,7 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
                                              int piece, int sign, double reach, int &who) {
   double gone = 0.0;
   who = NOBODY;
+#pragma unroll 1
   while (gone < reach && a.near) {
     double at = way + sign * gone;
     if (at > r.length) {

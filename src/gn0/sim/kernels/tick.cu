@@ -2,6 +2,7 @@
 
 // Stand at a stop for so long, or begin to; the seconds that are left after it.
 __device__ __forceinline__ double hold_on(Person &q, const Route &r, const Pace &pace, double seconds) {
+#pragma unroll 1
   while (seconds > 0.0) {
     const double *stop = r.holds + 4 * q.hold;
     if (q.hold_left <= 0.0) {
@@ -74,6 +75,7 @@ __device__ __forceinline__ double advance(Person &q, const Route &r, const Pace 
     dt = dt * ((aligned - ALIGNED) / (aligned - before));
   // bends: the next points
   int points = r.last + 2;
+#pragma unroll 1
   for (int k = sign > 0 ? piece + 1 : piece; 0 <= k && k < points; k += sign) {
     const double *point = point_of(r, k);
     double room = sign * (point[4] - way);
@@ -281,10 +283,9 @@ __device__ __forceinline__ void place_feet(Person &q, double hx, double hy) {
   for (int k = 0; k < 4; k++) {
     if (fx * x + fy * y > PIVOT_COS) break;
     double side = fx * y - fy * x >= 0.0 ? PIVOT_COS : -PIVOT_COS;
-    double nx = fx * PIVOT_COS - fy * side, ny = fx * side + fy * PIVOT_COS;
-    double size = sqrt(nx * nx + ny * ny);
-    q.fx = fx = nx / size;
-    q.fy = fy = ny / size;
+    double2 turned = turn_vector(fx, fy, PIVOT_COS, side);
+    q.fx = fx = turned.x;
+    q.fy = fy = turned.y;
   }
 }
 

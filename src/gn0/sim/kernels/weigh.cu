@@ -97,9 +97,11 @@ __device__ __forceinline__ double weigh_direction(const Task &t, int k, const Gr
     double clear = gap_at(a, t.x + ux * reach * share, t.y + uy * reach * share);
     if (clear < t.space && clear < t.here + 0.2 * reach * share) return REFUSED;
   }
-  if (!t.squeezes && !clear_line(g, qx, qy, t.ahead_x, t.ahead_y) &&
-      !clear_line(g, qx, qy, t.home_x, t.home_y))
-    return REFUSED;  // whence one sees the path, one comes back to it
+  bool sees = t.squeezes;  // whence one sees the path, one comes back to it
+#pragma unroll 1
+  for (int n = 0; n < 2 && !sees; n++)
+    sees = clear_line(g, qx, qy, n ? t.home_x : t.ahead_x, n ? t.home_y : t.ahead_y);
+  if (!sees) return REFUSED;
   return cos + 0.3 * (ux * t.hx + uy * t.hy);
 }
 
@@ -116,8 +118,10 @@ __device__ __forceinline__ double weigh_place(const Task &t, int k, const Ground
   if (!(clear > t.here)) return REFUSED;
   int who;
   if (share_allowed(t.x, t.y, a, t.x + ux * SHUFFLE, t.y + uy * SHUFFLE, who) < 1.0) return REFUSED;
-  if (!clear_line(g, qx, qy, t.home_x, t.home_y) && clear_line(g, t.x, t.y, t.home_x, t.home_y))
-    return REFUSED;  // the path is kept in sight
+  int blind = 0;  // there, and here as well
+#pragma unroll 1
+  while (blind < 2 && !clear_line(g, blind ? t.x : qx, blind ? t.y : qy, t.home_x, t.home_y)) blind++;
+  if (blind == 1) return REFUSED;  // the path is kept in sight
   return clear + STEADY * (ux * t.hx + uy * t.hy);
 }
 

@@ -37,7 +37,7 @@ from gn0.sim.device_records import (
     WidenCrowd,
 )
 
-LANES = 8  # environments a block of `move_people`; `reach.cu` has the same
+LANES = 8  # environments a block of kernels that move people; `reach.cu` has the same
 KEPT = ("people_real", "people_whole")  # rows of saved states
 
 
@@ -182,10 +182,7 @@ class CompanyDevice:
 
     def move(self, codes: DeviceArray) -> None:
         """Everybody through the ticks of an action each, and agents that go ahead with them."""
-        simulator = self._simulator
-        moving = MovePeople(simulator.world, self.crowd, codes)
-        blocks = blocks_of(simulator.count, LANES)
-        self._kernels["move_people"].launch(blocks, (LANES, self.places), moving)
+        self.run("move_people", MovePeople(self._simulator.world, self.crowd, codes))
 
     def step(self, codes: DeviceArray, out: np.void) -> None:
         """Take one action each; `out` is the struct `Outputs`."""
@@ -193,8 +190,9 @@ class CompanyDevice:
         self.run("step_people", StepAmong(self._simulator.world, self.crowd, codes, out))
 
     def run(self, name: str, record: Any) -> None:
-        """Run a kernel with a thread for each environment."""
-        self._kernels[name].launch(blocks_of(self._simulator.count), THREADS, record)
+        """Run a kernel with a thread for each person that there is room for."""
+        blocks = blocks_of(self._simulator.count, LANES)
+        self._kernels[name].launch(blocks, (LANES, self.places), record)
 
     def shorten(
         self,

@@ -76,30 +76,31 @@ __device__ __forceinline__ void clear_hit(const Crowd &c, int i) {
   c.hit_tick[i] = 0;
 }
 
-// `place_rows` of people/crowd.py: the people of an episode at their beginnings.
-__device__ void begin_people(const World &w, const Crowd &c, const Episode &e, int i) {
-#pragma unroll 1
-  for (int p = 0; p < c.places; p++) {
-    if (p >= e.persons) {
-      tell_nobody(c, p, i);
-      continue;
-    }
-    Route r = route_of(e, p);
-    Person q = {};
-    q.x = q.x0 = r.points[0];
-    q.y = q.y0 = r.points[1];
-    q.hx = e.lines[4 * p + 2];
-    q.hy = e.lines[4 * p + 3];
-    q.direction = 1;
-    q.blocked_by = NOBODY;
-    q.clip_since = LONG_AGO;
-    q.claim = q.claim0 = r.right;
-    q.fx = q.hx;
-    q.fy = q.hy;
-    q.turn_since = SETTLE;
-    store_person(w, c, p, i, q);
-    tell_person(c, p, i, q);
+// `place_rows` of people/crowd.py: person p of an episode at its beginning.
+__device__ __forceinline__ void begin_person(const World &w, const Crowd &c, const Episode &e, int p,
+                                             int i) {
+  if (p >= e.persons) {
+    tell_nobody(c, p, i);
+    return;
   }
+  Route r = route_of(e, p);
+  Person q = {};
+  q.x = q.x0 = r.points[0];
+  q.y = q.y0 = r.points[1];
+  q.hx = e.lines[4 * p + 2];
+  q.hy = e.lines[4 * p + 3];
+  q.direction = 1;
+  q.blocked_by = NOBODY;
+  q.clip_since = LONG_AGO;
+  q.claim = q.claim0 = r.right;
+  q.fx = q.hx;
+  q.fy = q.hy;
+  q.turn_since = SETTLE;
+  store_person(w, c, p, i, q);
+  tell_person(c, p, i, q);
+}
+
+__device__ __forceinline__ void begin_hits(const Crowd &c, int i) {
   c.cut[i] = 0;
   clear_hit(c, i);
 }
@@ -258,12 +259,14 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const u8 *
   if (goes) w.position[i] = make_double2(agent_x[lane], agent_y[lane]);
 }
 
-// What was told of people goes to what is told of episodes that ended.
-__device__ __forceinline__ void keep_people(const Crowd &c, int i, bool ended) {
-  i64 first = (i64)i * c.places * 4;
-#pragma unroll 1
-  for (int k = 0; k < c.places * 4; k++)
-    c.final_people[first + k] = ended ? c.people[first + k] : 0.0;
+// What was told of a person goes to what is told of episodes that ended.
+__device__ __forceinline__ void keep_person(const Crowd &c, int p, int i, bool ended) {
+  i64 first = ((i64)i * c.places + p) * 4;
+#pragma unroll
+  for (int k = 0; k < 4; k++) c.final_people[first + k] = ended ? c.people[first + k] : 0.0;
+}
+
+__device__ __forceinline__ void keep_hits(const Crowd &c, int i, bool ended) {
   c.final_hit_person[i] = ended ? c.hit_person[i] : 0;
   c.final_hit_by[i] = ended ? c.hit_by[i] : 0;
   c.final_hit_tick[i] = ended ? c.hit_tick[i] : 0;
@@ -284,36 +287,62 @@ __device__ __forceinline__ Acted act_among(const World &w, const Crowd &c, const
   return a;
 }
 
-KERNEL(step_people)(World w, Crowd c, const u8 *codes, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count || w.status[0] != CLEAR) return;
-  int slot = w.slot[i], action = codes[i];
-  const Episode &e = w.episodes[slot];
-  Acted a = act_among(w, c, e, i, action);
-  judge(w, e, action, w.distance[i], a);
-  write_step(w, e, i, slot, a, out);
+// The agent of an environment goes on: to its next episode, whose slot is given, or in its own: -1.
+__device__ __forceinline__ int go_on_to(const World &w, const Crowd &c, int i, const Acted &a) {
   bool ended = a.terminated || a.truncated;
-  keep_people(c, i, ended);
+  keep_hits(c, i, ended);
   int next = ended ? draw(w, i) : -1;
   if (next >= 0) {
     begin(w, i, next);
-    begin_people(w, c, w.episodes[next], i);
+    begin_hits(c, i);
   } else {
     stay_in(w, i, a);
   }
-  tell(w, i, out);
+  return next;
 }
 
-// `place_agents`, and everybody around them at their beginnings.
-KERNEL(place_people)(World w, Crowd c, const int *slots, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count) return;
+// `place_agents` for an agent; its slot, or -1 where it stays.
+__device__ __forceinline__ int place_agent(const World &w, const Crowd &c, const int *slots, int i) {
   int slot = slots[i] == -2 ? draw(w, i) : slots[i];
   if (slot >= 0) {
     begin(w, i, slot);
-    begin_people(w, c, w.episodes[slot], i);
+    begin_hits(c, i);
   }
-  tell(w, i, out);
+  return slot;
+}
+
+// Blocks are those of `move_people`: the first thread of an environment is its agent's as well.
+KERNEL_BOUNDED(step_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const u8 *codes, Outputs out) {
+  __shared__ int nexts[LANES];
+  __shared__ u8 ends[LANES];
+  if (w.status[0] != CLEAR) return;  // all threads alike
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  if (p == 0 && i < w.count) {
+    int slot = w.slot[i], action = codes[i];
+    const Episode &e = w.episodes[slot];
+    Acted a = act_among(w, c, e, i, action);
+    judge(w, e, action, w.distance[i], a);
+    write_step(w, e, i, slot, a, out);
+    ends[lane] = a.terminated || a.truncated;
+    nexts[lane] = go_on_to(w, c, i, a);
+  }
+  __syncthreads();
+  if (i >= w.count) return;
+  keep_person(c, p, i, ends[lane]);
+  if (nexts[lane] >= 0) begin_person(w, c, w.episodes[nexts[lane]], p, i);
+  if (p == 0) tell(w, i, out);
+}
+
+// `place_agents`, and everybody around them at their beginnings.
+KERNEL_BOUNDED(place_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const int *slots,
+                                                     Outputs out) {
+  __shared__ int nexts[LANES];
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  if (p == 0 && i < w.count) nexts[lane] = place_agent(w, c, slots, i);
+  __syncthreads();
+  if (i >= w.count) return;
+  if (nexts[lane] >= 0) begin_person(w, c, w.episodes[nexts[lane]], p, i);
+  if (p == 0) tell(w, i, out);
 }
 
 // `shorten_rays` of sim/people.py: rings [N, rays] m, cut where an agent at poses [N, 3] would touch

@@ -98,37 +98,45 @@ __device__ __forceinline__ void keep_following(const Following &f, int i, bool e
 }
 
 // `step_people` where somebody is followed; `move_people` comes before.
-KERNEL(step_following)(World w, Crowd c, Following f, const u8 *codes, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count || w.status[0] != CLEAR) return;
-  int slot = w.slot[i];
-  const Episode &e = w.episodes[slot];
-  Acted a = act_among(w, c, e, i, codes[i]);
-  judge_following(w, c, f, e, i, a);
-  write_step(w, e, i, slot, a, out);
-  bool ended = a.terminated || a.truncated;
-  keep_people(c, i, ended);
-  keep_following(f, i, ended);
-  int next = ended ? draw(w, i) : -1;
-  if (next >= 0) {
-    begin(w, i, next);
-    begin_people(w, c, w.episodes[next], i);
-    begin_following(c, f, w.episodes[next], i);
-  } else {
-    stay_in(w, i, a);
+KERNEL_BOUNDED(step_following, LANES * PEOPLE_MOST, 2)(World w, Crowd c, Following f,
+                                                       const u8 *codes, Outputs out) {
+  __shared__ int nexts[LANES];
+  __shared__ u8 ends[LANES];
+  if (w.status[0] != CLEAR) return;  // all threads alike
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  bool leads = p == 0 && i < w.count;
+  if (leads) {
+    int slot = w.slot[i];
+    const Episode &e = w.episodes[slot];
+    Acted a = act_among(w, c, e, i, codes[i]);
+    judge_following(w, c, f, e, i, a);
+    write_step(w, e, i, slot, a, out);
+    ends[lane] = a.terminated || a.truncated;
+    keep_following(f, i, ends[lane]);
+    nexts[lane] = go_on_to(w, c, i, a);
   }
+  __syncthreads();
+  int next = i < w.count ? nexts[lane] : -1;
+  if (i < w.count) keep_person(c, p, i, ends[lane]);
+  if (next >= 0) begin_person(w, c, w.episodes[next], p, i);
+  __syncthreads();  // everybody is where they begin
+  if (!leads) return;
+  if (next >= 0) begin_following(c, f, w.episodes[next], i);
   tell(w, i, out);
 }
 
 // `place_people`, and those who follow have not begun to.
-KERNEL(place_following)(World w, Crowd c, Following f, const int *slots, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count) return;
-  int slot = slots[i] == -2 ? draw(w, i) : slots[i];
-  if (slot >= 0) {
-    begin(w, i, slot);
-    begin_people(w, c, w.episodes[slot], i);
-    begin_following(c, f, w.episodes[slot], i);
-  }
+KERNEL_BOUNDED(place_following, LANES * PEOPLE_MOST, 2)(World w, Crowd c, Following f,
+                                                        const int *slots, Outputs out) {
+  __shared__ int nexts[LANES];
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  bool leads = p == 0 && i < w.count;
+  if (leads) nexts[lane] = place_agent(w, c, slots, i);
+  __syncthreads();
+  int next = i < w.count ? nexts[lane] : -1;
+  if (next >= 0) begin_person(w, c, w.episodes[next], p, i);
+  __syncthreads();  // everybody is where they begin
+  if (!leads) return;
+  if (next >= 0) begin_following(c, f, w.episodes[next], i);
   tell(w, i, out);
 }

@@ -31,7 +31,6 @@ from gn0.people.reach import (
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.device_people import LANES
 from gn0_figures.device import is_emulation, median
 from gn0_figures.device_rates import WALK as ACTIONS
 from gn0_figures.device_rates import measure_rate
@@ -65,17 +64,12 @@ class Clock:
         return spent
 
 
-@dataclass(frozen=True, eq=False)
 class ClockedKernel:
     """A kernel whose launches a clock notes; see `gn0.device.device.Kernel`."""
 
-    kernel: Kernel
-    clock: Clock
-
-    @property
-    def name(self) -> str:
-        """Of the kernel."""
-        return self.kernel.name
+    def __init__(self, kernel: Kernel, clock: Clock) -> None:
+        self.name = kernel.name
+        self.kernel, self.clock = kernel, clock
 
     def launch(
         self,
@@ -153,7 +147,7 @@ def count_people(env: VectorEnvDevice) -> dict[str, float]:
         "squeeze": aside & (whole[..., ASIDE_LEFT] == 0) & (whole[..., TURNED] % 4 > 1),
         "make room": aside & (whole[..., ASIDE_LEFT] > 0),
     }
-    blocks = np.add.reduceat(aside.sum(axis=1), np.arange(0, len(aside), LANES))
+    blocks = np.add.reduceat(aside.sum(axis=1), np.arange(0, len(aside), company.lanes))
     return {name: float(who.sum()) / total for name, who in shares.items()} | {
         "of a block go round or make room, on average": float(blocks.mean()),
         "of a block go round or make room, at most": float(blocks.max()),
@@ -163,7 +157,7 @@ def count_people(env: VectorEnvDevice) -> dict[str, float]:
 def list_lines(device: Device, most: Sequence[int] = PEOPLE) -> Iterator[str]:
     """What there is to print, with up to so many people an environment each."""
     tiny = is_emulation(device)
-    count, steps, settled = (2 * LANES, 2, 1) if tiny else (ENVS, 160, SETTLED)
+    count, steps, settled = (16, 2, 1) if tiny else (ENVS, 160, SETTLED)
     scenes, episodes = plan_episodes(*((1, 2) if tiny else (8, 32)), most=max(most))
     drawn = random_stream(0, "figure actions").choice(4, (steps, count), p=ACTIONS)
     uploaded = device.upload(drawn.astype(np.int64))

@@ -108,10 +108,14 @@ def test_it_plays_people_as_the_vector_env_does(halls) -> None:
 
 
 @pytest.mark.parametrize("sliding", [False, True])
-def test_long_actions_and_bodies_that_slide(halls, sliding) -> None:
+def test_long_actions_and_bodies_that_slide(halls, sliding, monkeypatch) -> None:
     """Five ticks an action; an agent at a wall is cut by it, and by people as well."""
     body = AgentSpec(radius=0.2, sliding=sliding)
     env, twin = build_pair(halls, 24, agent=body)
+    assert env.simulator.company.lanes == 8
+    if sliding:  # as where there are many environments
+        monkeypatch.setattr(device_people, "BLOCKS", 1)
+        assert env.simulator.company.lanes == 16
     assert_same_told(env, env.reset(seed=5)[1], twin.reset(seed=5)[1])
     seen = play(env, twin, 60, odds=[0.01, 0.79, 0.1, 0.1])
     assert seen["agent"] > 40

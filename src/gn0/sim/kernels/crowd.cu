@@ -110,14 +110,14 @@ __device__ __noinline__ bool go_to(const Crowd &c, const Episode &e, double2 &p,
   return c.slides ? slide(e, p.x, p.y, x, y) : trace(e, p.x, p.y, x, y);
 }
 
-// Everybody through the ticks of an action, and the agents that go ahead. A block is LANES environments
-// wide and as many people high. A thread keeps its person; what others see of it is in shared memory.
+// Everybody through the ticks of an action, and the agents that go ahead. A block is up to a warp of
+// environments wide and as many people high. A thread keeps its person; what others see of it is in shared memory.
 // Small blocks wait less for each other and leave a thread all the registers that it wants.
-KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const u8 *codes) {
-  __shared__ double old_x[PEOPLE_MOST * LANES], old_y[PEOPLE_MOST * LANES];  // a tick ago
-  __shared__ double new_x[PEOPLE_MOST * LANES], new_y[PEOPLE_MOST * LANES];
-  __shared__ double agent_x[LANES], agent_y[LANES];
-  __shared__ i64 claims[PEOPLE_MOST * LANES];
+KERNEL_BOUNDED(move_people, CROWD_THREADS, 2)(World w, Crowd c, const u8 *codes) {
+  __shared__ double old_x[CROWD_THREADS], old_y[CROWD_THREADS];  // a tick ago
+  __shared__ double new_x[CROWD_THREADS], new_y[CROWD_THREADS];
+  __shared__ double agent_x[WARP], agent_y[WARP];
+  __shared__ i64 claims[CROWD_THREADS];
   __shared__ Task tasks[TASKS];
   __shared__ double scores[TASKS][CANDIDATES_MOST];
   __shared__ u16 items[TASKS * CANDIDATES_MOST];  // candidates: task * 16 + number
@@ -312,9 +312,9 @@ __device__ __forceinline__ int place_agent(const World &w, const Crowd &c, const
 }
 
 // Blocks are those of `move_people`: the first thread of an environment is its agent's as well.
-KERNEL_BOUNDED(step_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const u8 *codes, Outputs out) {
-  __shared__ int nexts[LANES];
-  __shared__ u8 ends[LANES];
+KERNEL_BOUNDED(step_people, CROWD_THREADS, 2)(World w, Crowd c, const u8 *codes, Outputs out) {
+  __shared__ int nexts[WARP];
+  __shared__ u8 ends[WARP];
   if (w.status[0] != CLEAR) return;  // all threads alike
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
   if (p == 0 && i < w.count) {
@@ -334,9 +334,9 @@ KERNEL_BOUNDED(step_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const u8 *
 }
 
 // `place_agents`, and everybody around them at their beginnings.
-KERNEL_BOUNDED(place_people, LANES * PEOPLE_MOST, 2)(World w, Crowd c, const int *slots,
+KERNEL_BOUNDED(place_people, CROWD_THREADS, 2)(World w, Crowd c, const int *slots,
                                                      Outputs out) {
-  __shared__ int nexts[LANES];
+  __shared__ int nexts[WARP];
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
   if (p == 0 && i < w.count) nexts[lane] = place_agent(w, c, slots, i);
   __syncthreads();

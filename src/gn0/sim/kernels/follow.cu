@@ -98,10 +98,10 @@ __device__ __forceinline__ void keep_following(const Following &f, int i, bool e
 }
 
 // `step_people` where somebody is followed; `move_people` comes before.
-KERNEL_BOUNDED(step_following, LANES * PEOPLE_MOST, 2)(World w, Crowd c, Following f,
+KERNEL_BOUNDED(step_following, CROWD_THREADS, 2)(World w, Crowd c, Following f,
                                                        const u8 *codes, Outputs out) {
-  __shared__ int nexts[LANES];
-  __shared__ u8 ends[LANES];
+  __shared__ int nexts[WARP];
+  __shared__ u8 ends[WARP];
   if (w.status[0] != CLEAR) return;  // all threads alike
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
   bool leads = p == 0 && i < w.count;
@@ -126,9 +126,9 @@ KERNEL_BOUNDED(step_following, LANES * PEOPLE_MOST, 2)(World w, Crowd c, Followi
 }
 
 // `place_people`, and those who follow have not begun to.
-KERNEL_BOUNDED(place_following, LANES * PEOPLE_MOST, 2)(World w, Crowd c, Following f,
+KERNEL_BOUNDED(place_following, CROWD_THREADS, 2)(World w, Crowd c, Following f,
                                                         const int *slots, Outputs out) {
-  __shared__ int nexts[LANES];
+  __shared__ int nexts[WARP];
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
   bool leads = p == 0 && i < w.count;
   if (leads) nexts[lane] = place_agent(w, c, slots, i);

@@ -1,7 +1,7 @@
 // What a person of an episode is doing, and what is in its reach: gn0/people/reach.py, function by
 // function and operation by operation. Numbers are those of that file and of route.py.
 
-#define LANES 8  // environments a block: neighbours in memory, half a line of each column
+#define LANES ((int)blockDim.x)  // environments a block: neighbours in memory, one to a lane
 
 #define BRAKE 0.7
 #define ACCELERATION 0.8

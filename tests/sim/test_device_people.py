@@ -108,10 +108,14 @@ def test_it_plays_people_as_the_vector_env_does(halls) -> None:
 
 
 @pytest.mark.parametrize("sliding", [False, True])
-def test_long_actions_and_bodies_that_slide(halls, sliding) -> None:
+def test_long_actions_and_bodies_that_slide(halls, sliding, monkeypatch) -> None:
     """Five ticks an action; an agent at a wall is cut by it, and by people as well."""
     body = AgentSpec(radius=0.2, sliding=sliding)
     env, twin = build_pair(halls, 24, agent=body)
+    assert env.simulator.company.lanes == 8
+    if sliding:  # as where there are many environments
+        monkeypatch.setattr(device_people, "BLOCKS", 1)
+        assert env.simulator.company.lanes == 16
     assert_same_told(env, env.reset(seed=5)[1], twin.reset(seed=5)[1])
     seen = play(env, twin, 60, odds=[0.01, 0.79, 0.1, 0.1])
     assert seen["agent"] > 40
@@ -286,7 +290,8 @@ def test_states_before_people_do_not_join_those_after(halls) -> None:
 def test_kernels_have_the_numbers_of_the_numba_code() -> None:
     """Every `#define` of a number that reach.py or route.py names, too."""
     folder = Path(device_people.__file__).parent / "kernels"
-    text = "".join((folder / f"{name}.cu").read_text() for name in ("reach", "detour", "tick"))
+    parts = ("reach", "weigh", "detour", "tick")
+    text = "".join((folder / f"{name}.cu").read_text() for name in parts)
     found = dict(re.findall(r"^#define (\w+) \(?(-?[\d.e-]+)\)?", text, re.M))
     known = vars(person) | vars(route) | vars(reach)
     both = {name: float(value) for name, value in found.items() if name in known}
@@ -295,6 +300,6 @@ def test_kernels_have_the_numbers_of_the_numba_code() -> None:
     columns = re.findall(r"f\((\d+), (\w+), \w+\)", text)
     assert all(known[name.upper()] == int(number) for number, name in columns)
     assert len(columns) == reach.REALS + reach.WHOLES
-    lists = re.findall(r"const (?:double|int) (\w+)\[\d+\] = \{([^}]*)\}", text)
+    lists = re.findall(r"__constant__ (?:double|int) (\w+)\[\d+\] = \{([^}]*)\}", text)
     theirs = [reach.ROUND_COS, reach.ROUND_SIN, reach.ROUND_COS20, reach.ROUND_SIN20, reach.TURNS]
     assert [tuple(map(float, values.split(","))) for _, values in lists] == theirs

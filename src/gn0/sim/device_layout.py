@@ -16,6 +16,7 @@ from gn0.sim.sensor.goal_vector import VECTOR_LIMIT
 
 KERNELS = Path(__file__).parent / "kernels"
 THREADS = 128  # a block of the kernels that have a thread an agent: many small blocks, all at once
+CROWD_THREADS = 128  # at most, a block of those that have one a person: eight environments of 16
 CLEAR = 0x7FFFFFFF  # a status word that nothing has been written to
 
 EPISODE = np.dtype(
@@ -141,18 +142,17 @@ SOURCE = KernelSource(
         *((f"EGO_C{k}", value) for k, value in enumerate(SERIES)),
     ),
 )
+_PEOPLE = ("world", "step", "reach", "weigh", "detour", "tick", "crowd", "follow", "shown")
 PEOPLE = KernelSource(
     "people",
-    tuple(
-        KERNELS / f"{part}.cu"
-        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow", "shown")
-    ),
+    tuple(KERNELS / f"{part}.cu" for part in _PEOPLE),
     (
         *SOURCE.defines,
         ("CROWD_BYTES", CROWD.itemsize),
         ("FOLLOWING_BYTES", FOLLOWING.itemsize),
         ("ROLE_BYTES", ROLE.itemsize),
         ("PEOPLE_MOST", PEOPLE_MOST),
+        ("CROWD_THREADS", CROWD_THREADS),
         ("REALS", REALS),
         ("WHOLES", WHOLES),
         ("MODE", MODE),

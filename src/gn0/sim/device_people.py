@@ -22,6 +22,7 @@ from gn0.people.reach import REALS, WHOLES
 from gn0.sim.device_layout import (
     CROWD,
     CROWD_FIELDS,
+    CROWD_THREADS,
     PEOPLE,
     THREADS,
     blocks_of,
@@ -37,7 +38,8 @@ from gn0.sim.device_records import (
     WidenCrowd,
 )
 
-LANES = 32  # environments a block of `move_people`; `reach.cu` has the same
+LANES = (32, 16, 8)  # environments a block of kernels that move people
+BLOCKS = 512  # as long as wider ones are at least so many: four a multiprocessor or so
 KEPT = ("people_real", "people_whole")  # rows of saved states
 
 
@@ -106,6 +108,14 @@ class CompanyDevice:
     def kernels(self) -> Mapping[str, Kernel]:
         """Kernels of people."""
         return self._kernels
+
+    @property
+    def lanes(self) -> int:
+        """Environments a block: few where there are few, so that all of the card has some."""
+        for lanes in LANES[:-1]:
+            if lanes * self.places <= CROWD_THREADS and self._simulator.count >= lanes * BLOCKS:
+                return lanes
+        return LANES[-1]
 
     @property
     def arrays(self) -> dict[str, DeviceArray]:
@@ -182,10 +192,7 @@ class CompanyDevice:
 
     def move(self, codes: DeviceArray) -> None:
         """Everybody through the ticks of an action each, and agents that go ahead with them."""
-        simulator = self._simulator
-        moving = MovePeople(simulator.world, self.crowd, codes)
-        blocks = blocks_of(simulator.count, LANES)
-        self._kernels["move_people"].launch(blocks, (LANES, self.places), moving)
+        self.run("move_people", MovePeople(self._simulator.world, self.crowd, codes))
 
     def step(self, codes: DeviceArray, out: np.void) -> None:
         """Take one action each; `out` is the struct `Outputs`."""
@@ -193,8 +200,10 @@ class CompanyDevice:
         self.run("step_people", StepAmong(self._simulator.world, self.crowd, codes, out))
 
     def run(self, name: str, record: Any) -> None:
-        """Run a kernel with a thread for each environment."""
-        self._kernels[name].launch(blocks_of(self._simulator.count), THREADS, record)
+        """Run a kernel with a thread for each person that there is room for."""
+        lanes = self.lanes
+        blocks = blocks_of(self._simulator.count, lanes)
+        self._kernels[name].launch(blocks, (lanes, self.places), record)
 
     def shorten(
         self,

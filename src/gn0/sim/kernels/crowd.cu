@@ -1,8 +1,8 @@
 // Agents among people: each action in its ticks, as sim/batch_people_kernels.py has it, and what
 // begins, ends, is told and is kept of people.
 
-// The people of N environments. Columns come first and environments last, so that a warp, whose
-// lanes are neighbours, reads and writes whole lines.
+// The people of N environments. Columns come first and environments last, so that neighbours
+// in a warp read and write whole sectors.
 struct Crowd {
   double *real;        // [REALS, places, N]
   i64 *whole;          // [WHOLES, places, N]
@@ -76,30 +76,31 @@ __device__ __forceinline__ void clear_hit(const Crowd &c, int i) {
   c.hit_tick[i] = 0;
 }
 
-// `place_rows` of people/crowd.py: the people of an episode at their beginnings.
-__device__ void begin_people(const World &w, const Crowd &c, const Episode &e, int i) {
-#pragma unroll 1
-  for (int p = 0; p < c.places; p++) {
-    if (p >= e.persons) {
-      tell_nobody(c, p, i);
-      continue;
-    }
-    Route r = route_of(e, p);
-    Person q = {};
-    q.x = q.x0 = r.points[0];
-    q.y = q.y0 = r.points[1];
-    q.hx = e.lines[4 * p + 2];
-    q.hy = e.lines[4 * p + 3];
-    q.direction = 1;
-    q.blocked_by = NOBODY;
-    q.clip_since = LONG_AGO;
-    q.claim = q.claim0 = r.right;
-    q.fx = q.hx;
-    q.fy = q.hy;
-    q.turn_since = SETTLE;
-    store_person(w, c, p, i, q);
-    tell_person(c, p, i, q);
+// `place_rows` of people/crowd.py: person p of an episode at its beginning.
+__device__ __forceinline__ void begin_person(const World &w, const Crowd &c, const Episode &e, int p,
+                                             int i) {
+  if (p >= e.persons) {
+    tell_nobody(c, p, i);
+    return;
   }
+  Route r = route_of(e, p);
+  Person q = {};
+  q.x = q.x0 = r.points[0];
+  q.y = q.y0 = r.points[1];
+  q.hx = e.lines[4 * p + 2];
+  q.hy = e.lines[4 * p + 3];
+  q.direction = 1;
+  q.blocked_by = NOBODY;
+  q.clip_since = LONG_AGO;
+  q.claim = q.claim0 = r.right;
+  q.fx = q.hx;
+  q.fy = q.hy;
+  q.turn_since = SETTLE;
+  store_person(w, c, p, i, q);
+  tell_person(c, p, i, q);
+}
+
+__device__ __forceinline__ void begin_hits(const Crowd &c, int i) {
   c.cut[i] = 0;
   clear_hit(c, i);
 }
@@ -109,16 +110,21 @@ __device__ __noinline__ bool go_to(const Crowd &c, const Episode &e, double2 &p,
   return c.slides ? slide(e, p.x, p.y, x, y) : trace(e, p.x, p.y, x, y);
 }
 
-// Everybody through the ticks of an action, and the agents that go ahead. A block is 32 environments
-// wide and as many people high. A thread keeps its person; what others see of it is in shared memory.
-KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *codes) {
-  __shared__ double old_x[PEOPLE_MOST * LANES], old_y[PEOPLE_MOST * LANES];  // a tick ago
-  __shared__ double new_x[PEOPLE_MOST * LANES], new_y[PEOPLE_MOST * LANES];
-  __shared__ double agent_x[LANES], agent_y[LANES];
-  __shared__ i64 claims[PEOPLE_MOST * LANES];
+// Everybody through the ticks of an action, and the agents that go ahead. A block is up to a warp of
+// environments wide and as many people high. A thread keeps its person; what others see of it is in shared memory.
+// Small blocks wait less for each other and leave a thread all the registers that it wants.
+KERNEL_BOUNDED(move_people, CROWD_THREADS, 2)(World w, Crowd c, const u8 *codes) {
+  __shared__ double old_x[CROWD_THREADS], old_y[CROWD_THREADS];  // a tick ago
+  __shared__ double new_x[CROWD_THREADS], new_y[CROWD_THREADS];
+  __shared__ double agent_x[WARP], agent_y[WARP];
+  __shared__ i64 claims[CROWD_THREADS];
+  __shared__ Task tasks[TASKS];
+  __shared__ double scores[TASKS][CANDIDATES_MOST];
+  __shared__ u16 items[TASKS * CANDIDATES_MOST];  // candidates: task * 16 + number
+  __shared__ int asked, weighed;  // people who have a task, candidates that are in `items`
   if (w.status[0] != CLEAR) return;  // all threads alike
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
-  int mine = p * LANES + lane;
+  int mine = p * LANES + lane, thread = mine, threads = blockDim.x * blockDim.y;
   const Episode *e = i < w.count ? w.episodes + w.slot[i] : nullptr;
   int persons = e ? e->persons : 0;
   bool walks = p < persons, leads = p == 0 && persons > 0;
@@ -126,6 +132,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
   Pace pace = {c.tick_seconds, c.tick_cos, c.tick_sin, c.rate, c.parts};
   Person q;
   Route r;
+  Task task;
   double2 start, end;  // of the agent's move as if nobody were there
   double dx, dy;
   i64 person = 0, by = 0, at = 0;
@@ -145,6 +152,7 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
     dy = y1 - start.y;
     cut = go_to(c, *e, end, x1, y1);
   }
+  if (thread == 0) asked = weighed = 0;
 #pragma unroll 1
   for (int tick = 1; tick <= c.ticks; tick++) {
     if (walks) {
@@ -154,10 +162,52 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
       claims[mine] = r.behaviour == SCRIPT ? q.claim : ~q.claim;
     }
     __syncthreads();
+    double hx, hy;
+    Around around;
+    int number = -1;  // of its task; their order shows nowhere
     if (walks) {
-      Around around = {old_x + lane,  old_y + lane,   claims + lane,   agent_x[lane],
-                       agent_y[lane], c.agent_radius, c.person_radius, persons, p};
-      tick_person(q, r, *e, pace, around);
+      hx = q.hx;
+      hy = q.hy;
+      around = {old_x + lane,  old_y + lane,   claims + lane,   agent_x[lane],
+                agent_y[lane], c.agent_radius, c.person_radius, persons,       p, 0};
+      begin_tick(q, r, *e, pace, around, task);
+      if (task.kind != NO_TASK) {
+        task.lane = lane;
+        number = atomicAdd(&asked, 1);
+      }
+    }
+    __syncthreads();
+    int all = asked;
+#pragma unroll 1
+    for (int first = 0; first < all; first += TASKS) {
+      int slot = number - first;
+      bool now = number >= first && slot < TASKS;
+      if (now) {
+        tasks[slot] = task;
+        int at = atomicAdd(&weighed, task.count);
+        for (int k = 0; k < task.count; k++) items[at + k] = slot * 16 + k;
+      }
+      __syncthreads();
+      int count = weighed;
+      for (int n = thread; n < count; n += threads) {
+        const Task &t = tasks[items[n] >> 4];
+        int l = t.lane, candidate = items[n] & 15;
+        Around other = {old_x + l,  old_y + l,      claims + l,      agent_x[l],
+                        agent_y[l], c.agent_radius, c.person_radius, t.episode->persons, t.p, t.near};
+        scores[items[n] >> 4][candidate] = weigh(t, candidate, other);
+      }
+      __syncthreads();
+      if (now) {
+        Person copy = q;
+        do_chosen(copy, *e, pace, around, task, scores[slot]);
+        q = copy;
+      }
+      if (thread == 0) weighed = 0;
+      __syncthreads();
+    }
+    if (thread == 0 && all > 0) asked = 0;
+    if (walks) {
+      end_tick(q, r, pace, hx, hy);
       new_x[mine] = q.x;
       new_y[mine] = q.y;
     }
@@ -209,12 +259,14 @@ KERNEL_BOUNDED(move_people, LANES * PEOPLE_MOST, 1)(World w, Crowd c, const u8 *
   if (goes) w.position[i] = make_double2(agent_x[lane], agent_y[lane]);
 }
 
-// What was told of people goes to what is told of episodes that ended.
-__device__ __forceinline__ void keep_people(const Crowd &c, int i, bool ended) {
-  i64 first = (i64)i * c.places * 4;
-#pragma unroll 1
-  for (int k = 0; k < c.places * 4; k++)
-    c.final_people[first + k] = ended ? c.people[first + k] : 0.0;
+// What was told of a person goes to what is told of episodes that ended.
+__device__ __forceinline__ void keep_person(const Crowd &c, int p, int i, bool ended) {
+  i64 first = ((i64)i * c.places + p) * 4;
+#pragma unroll
+  for (int k = 0; k < 4; k++) c.final_people[first + k] = ended ? c.people[first + k] : 0.0;
+}
+
+__device__ __forceinline__ void keep_hits(const Crowd &c, int i, bool ended) {
   c.final_hit_person[i] = ended ? c.hit_person[i] : 0;
   c.final_hit_by[i] = ended ? c.hit_by[i] : 0;
   c.final_hit_tick[i] = ended ? c.hit_tick[i] : 0;
@@ -235,36 +287,62 @@ __device__ __forceinline__ Acted act_among(const World &w, const Crowd &c, const
   return a;
 }
 
-KERNEL(step_people)(World w, Crowd c, const u8 *codes, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count || w.status[0] != CLEAR) return;
-  int slot = w.slot[i], action = codes[i];
-  const Episode &e = w.episodes[slot];
-  Acted a = act_among(w, c, e, i, action);
-  judge(w, e, action, w.distance[i], a);
-  write_step(w, e, i, slot, a, out);
+// The agent of an environment goes on: to its next episode, whose slot is given, or in its own: -1.
+__device__ __forceinline__ int go_on_to(const World &w, const Crowd &c, int i, const Acted &a) {
   bool ended = a.terminated || a.truncated;
-  keep_people(c, i, ended);
+  keep_hits(c, i, ended);
   int next = ended ? draw(w, i) : -1;
   if (next >= 0) {
     begin(w, i, next);
-    begin_people(w, c, w.episodes[next], i);
+    begin_hits(c, i);
   } else {
     stay_in(w, i, a);
   }
-  tell(w, i, out);
+  return next;
 }
 
-// `place_agents`, and everybody around them at their beginnings.
-KERNEL(place_people)(World w, Crowd c, const int *slots, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count) return;
+// `place_agents` for an agent; its slot, or -1 where it stays.
+__device__ __forceinline__ int place_agent(const World &w, const Crowd &c, const int *slots, int i) {
   int slot = slots[i] == -2 ? draw(w, i) : slots[i];
   if (slot >= 0) {
     begin(w, i, slot);
-    begin_people(w, c, w.episodes[slot], i);
+    begin_hits(c, i);
   }
-  tell(w, i, out);
+  return slot;
+}
+
+// Blocks are those of `move_people`: the first thread of an environment is its agent's as well.
+KERNEL_BOUNDED(step_people, CROWD_THREADS, 2)(World w, Crowd c, const u8 *codes, Outputs out) {
+  __shared__ int nexts[WARP];
+  __shared__ u8 ends[WARP];
+  if (w.status[0] != CLEAR) return;  // all threads alike
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  if (p == 0 && i < w.count) {
+    int slot = w.slot[i], action = codes[i];
+    const Episode &e = w.episodes[slot];
+    Acted a = act_among(w, c, e, i, action);
+    judge(w, e, action, w.distance[i], a);
+    write_step(w, e, i, slot, a, out);
+    ends[lane] = a.terminated || a.truncated;
+    nexts[lane] = go_on_to(w, c, i, a);
+  }
+  __syncthreads();
+  if (i >= w.count) return;
+  keep_person(c, p, i, ends[lane]);
+  if (nexts[lane] >= 0) begin_person(w, c, w.episodes[nexts[lane]], p, i);
+  if (p == 0) tell(w, i, out);
+}
+
+// `place_agents`, and everybody around them at their beginnings.
+KERNEL_BOUNDED(place_people, CROWD_THREADS, 2)(World w, Crowd c, const int *slots,
+                                                     Outputs out) {
+  __shared__ int nexts[WARP];
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  if (p == 0 && i < w.count) nexts[lane] = place_agent(w, c, slots, i);
+  __syncthreads();
+  if (i >= w.count) return;
+  if (nexts[lane] >= 0) begin_person(w, c, w.episodes[nexts[lane]], p, i);
+  if (p == 0) tell(w, i, out);
 }
 
 // `shorten_rays` of sim/people.py: rings [N, rays] m, cut where an agent at poses [N, 3] would touch

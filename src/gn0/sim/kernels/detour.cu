@@ -1,38 +1,13 @@
 // Round whoever stands in the way: gn0/people/detour.py, function by function.
 
-#define PARTS 3
-
 // Rare things are functions of their own, so that who walks on its path takes no registers for them.
-
-// The side with more free places beside the way ahead: 1 left, -1 right; right of equals.
-__device__ __noinline__ int choose_side(double x, double y, const Episode &e, const Around &a,
-                                        double tx, double ty) {
-  int best = -1, side = -1;
-#pragma unroll 1
-  for (int s = -1; s <= 1; s += 2) {
-    int free = 0;
-#pragma unroll 1
-    for (int k = 1; k < 4; k++)
-#pragma unroll 1
-      for (int b = 0; b < 4; b++) {
-        double qx = x + tx * 0.3 * b - s * ty * 0.25 * k;
-        double qy = y + ty * 0.3 * b + s * tx * 0.25 * k;
-        if (!is_free(e, qx, qy)) break;
-        if (gap_at(a, qx, qy) > ROOM) free++;
-      }
-    if (free > best) {
-      best = free;
-      side = s;
-    }
-  }
-  return side;
-}
 
 // Nearest point of the path to (x, y), from `way` up to 3 m on: its way, distance, piece.
 __device__ __forceinline__ double nearest_way(const Route &r, double way, int piece, int sign,
                                               double x, double y, double &distance, int &where) {
   double best = 1e30, found = way, gone = 0.0;
   where = piece;
+#pragma unroll 1
   for (int k = piece; 0 <= k && k <= r.last && gone < 3.0; k += sign) {
     const double *point = point_of(r, k);
     double low = point[4], high = point_of(r, k + 1)[4];
@@ -55,60 +30,45 @@ __device__ __forceinline__ double nearest_way(const Route &r, double way, int pi
   return found;
 }
 
-// Whether five places of a short line are free of walls.
-__device__ __forceinline__ bool clear_line(const Episode &e, double x, double y, double u, double v) {
-#pragma unroll 1
-  for (int k = 1; k < 6; k++)
-    if (!is_free(e, x + (u - x) * (0.2 * k), y + (v - y) * (0.2 * k))) return false;
-  return true;
-}
-
-// A tick away from everybody, where there is room; (mx, my) on the path is kept in sight.
-__device__ __noinline__ void make_room(Person &q, const Episode &e, const Pace &pace,
-                                       const Around &a, double mx, double my) {
-  // cosines and sines of 0, 30, ... 180 degrees
-  const double cosines[7] = {1.0, 0.8660254037844386, 0.5, 0.0, -0.5, -0.8660254037844386, -1.0};
-  const double sines[7] = {0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0};
-  double x = q.x0, y = q.y0, v = q.speed, dt = pace.seconds;
-  double now = least_of(v + ACCELERATION * dt * 0.875, 0.5);
-  double step = 0.5 * (v + now) * dt;
-  double here = gap_at(a, x, y) + 0.01;
-  if (here > ENOUGH) {
+// Whether a person looks for room away from everybody: (mx, my) on the path is kept in sight.
+__device__ __forceinline__ void look_for_room(Person &q, const Episode &e, const Pace &pace,
+                                              Around &a, double mx, double my, Task &t) {
+  t.x = q.x0;
+  t.y = q.y0;
+  a.near = find_near(a, t.x, t.y, 1.2);
+  t.here = gap_at(a, t.x, t.y) + 0.01;
+  if (t.here > ENOUGH) {
     q.aside_left = 0;
     q.speed = 0.0;
     return;
   }
-  bool sees = clear_line(e, x, y, mx, my);
-  double best = -1e30, bx = 0.0, by = 0.0;
-  int who;
-#pragma unroll 1
-  for (int turn = -5; turn < 7; turn++) {  // twelve directions of the plane
-    double ux = cosines[turn < 0 ? -turn : turn], uy = sines[turn < 0 ? -turn : turn];
-    if (turn < 0) uy = -uy;
-    if (!is_free(e, x + ux * 0.1, y + uy * 0.1)) continue;
-    if (!is_free(e, x + ux * 0.2, y + uy * 0.2)) continue;
-    if (!is_free(e, x + ux * step, y + uy * step)) continue;
-    if (share_allowed(q, a, x + ux * SHUFFLE, y + uy * SHUFFLE, who) < 1.0) continue;
-    double clear = gap_at(a, x + ux * 0.2, y + uy * 0.2);
-    double score = clear + STEADY * (ux * q.hx + uy * q.hy);
-    if (clear > here && score > best &&
-        (!sees || clear_line(e, x + ux * 0.2, y + uy * 0.2, mx, my))) {
-      best = score;
-      bx = ux;
-      by = uy;
-    }
-  }
+  t.now = least_of(q.speed + ACCELERATION * pace.seconds * 0.875, 0.5);
+  t.step = 0.5 * (q.speed + t.now) * pace.seconds;
+  t.hx = q.hx;
+  t.hy = q.hy;
+  t.home_x = mx;
+  t.home_y = my;
+  t.kind = PLACES;
+  t.count = 12;
+}
+
+// A tick away from everybody, where there is room.
+__device__ __forceinline__ void make_room(Person &q, const Pace &pace, const Around &a,
+                                          const Task &t, int found) {
   q.speed = 0.0;
-  if (bx == 0.0 && by == 0.0) {
+  if (found < 0) {
     q.aside_left = 0;
     return;
   }
+  double bx, by;
+  turn_by_30(found, bx, by);
   if (turn_to(q, pace, bx, by, pace.seconds) < SIDEWAYS) return;
-  double nx = x + bx * step, ny = y + by * step;
-  if (share_allowed(q, a, nx, ny, who) >= 1.0) {
+  double nx = t.x + bx * t.step, ny = t.y + by * t.step;
+  int who;
+  if (share_allowed(t.x, t.y, a, nx, ny, who) >= 1.0) {
     q.x = nx;
     q.y = ny;
-    q.speed = now;
+    q.speed = t.now;
     q.aside_left--;
   } else {
     q.aside_left = 0;
@@ -170,15 +130,36 @@ __device__ __forceinline__ void turn_back(Person &q, const Route &r, const Pace 
   if (sign > 0 && r.after != BACK) q.back_left = BACK_SECONDS * pace.rate + r.patience;
 }
 
-// A tick beside the path, around whoever is on it.
+// A tick beside the path in a direction (bx, by).
+__device__ __noinline__ void walk_round(Person &q, const Episode &e, const Pace &pace,
+                                        const Around &a, const Task &t, double bx, double by) {
+  if (turn_to(q, pace, bx, by, pace.seconds) < SIDEWAYS) {
+    q.speed = 0.0;
+    return;
+  }
+  int who;
+  double nx = t.x + bx * t.step, ny = t.y + by * t.step, now = t.now;
+  double share = share_allowed(t.x, t.y, a, nx, ny, who);
+  if (share < 1.0) {
+    q.blocked_by = who;
+    now = 0.0;
+    q.wait++;
+    share = share * 0.999;
+    nx = t.x + bx * t.step * share;
+    ny = t.y + by * t.step * share;
+    if (!is_free(ground_of(e), nx, ny)) {
+      nx = t.x;
+      ny = t.y;
+    }
+  }
+  q.x = nx;
+  q.y = ny;
+  q.speed = now;
+}
+
+// A tick beside the path, around whoever is on it: all of it, or up to a choice of directions.
 __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &e,
-                                      const Pace &pace, const Around &a) {
-  // cosines and sines of 0, 20, ... 120 degrees, and which of them are tried, the straightest first
-  const double cosines[7] = {1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693033,
-                             -0.17364817766693033, -0.5};
-  const double sines[7] = {0.0, 0.3420201433256687, 0.6427876096865393, 0.8660254037844386,
-                           0.984807753012208, 0.984807753012208, 0.8660254037844386};
-  const int turns[13] = {0, 1, -1, 2, -2, 3, 4, 5, 6, -3, -4, -5, -6};
+                                      const Pace &pace, Around &a, Task &t) {
   double dt = pace.seconds, x = q.x0, y = q.y0, v = q.speed;
   bool loops = r.after == LOOP;
   q.round_ticks++;
@@ -190,17 +171,20 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
     q.way = r.length;
     q.piece = r.last;
   }
-  double aside;
+  double aside, way;
   int piece;
-  if (q.round_ticks > ROUND_SECONDS * pace.rate || q.wait > NO_WAY_SECONDS * pace.rate) {
-    nearest_way(r, q.way, q.piece, q.direction, x, y, aside, piece);
+  bool gives_up = q.round_ticks > ROUND_SECONDS * pace.rate || q.wait > NO_WAY_SECONDS * pace.rate;
+#pragma unroll 1
+  while (true) {
+    way = nearest_way(r, q.way, q.piece, q.direction, x, y, aside, piece);
+    if (!gives_up) break;
     turn_back(q, r, pace, a, aside);
+    gives_up = false;
   }
-  int sign = q.direction, side = q.side;
-  double way = nearest_way(r, q.way, q.piece, sign, x, y, aside, piece);
+  int sign = q.direction;
   Spot home = place_at(r, way, piece);
   if (q.aside_left > 0) {
-    make_room(q, e, pace, a, home.x, home.y);
+    look_for_room(q, e, pace, a, home.x, home.y, t);
     return;
   }
   q.way = way;
@@ -208,14 +192,18 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
   double fastest = least_of(ROUND_SPEED, r.speed);
   double now = least_of(v + ACCELERATION * dt * 0.875, fastest);
   double step = 0.5 * (v + now) * dt;
-  double bx = 0.0, by = 0.0, best = -1e30;
+  t.x = x;
+  t.y = y;
+  t.now = now;
+  t.step = step;
+  Ground g = ground_of(e);
   int who;
+  a.near = find_near(a, x, y, 1.0);
   if (aside <= HOME) {
     room_ahead(a, r, way, piece, sign, 0.6, who);
-    Spot s = place_at(r, way, piece);
-    double nx = s.x, ny = s.y;
-    piece = s.piece;
-    if (who == NOBODY && clear_line(e, x, y, nx, ny)) {
+    double nx = home.x, ny = home.y;
+    piece = home.piece;
+    if (who == NOBODY && clear_line(g, x, y, nx, ny)) {
       bool near = aside <= step + 0.005;
       double ux = 0.0, uy = 0.0;
       if (!near) {
@@ -224,20 +212,19 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
         nx = x + ux * step;
         ny = y + uy * step;
       }
-      double share = share_allowed(q, a, nx, ny, who);
-      bool free = near || is_free(e, nx, ny);
+      double share = share_allowed(x, y, a, nx, ny, who);
+      bool free = near || is_free(g, nx, ny);
       if (share >= 1.0 && free && (near || aside <= SHUFFLE)) {
         q.x = nx;
         q.y = ny;
         q.speed = near ? aside / dt : now;
-        turn_to(q, pace, sign * s.tx, sign * s.ty, pace.seconds);
+        turn_to(q, pace, sign * home.tx, sign * home.ty, pace.seconds);
         if (near) come_home(q, r, way, piece);
         return;
       }
-      if (share >= 1.0 && free) {
-        bx = ux;
-        by = uy;
-        best = 1.0;
+      if (share >= 1.0 && free) {  // the path itself, near by and free
+        walk_round(q, e, pace, a, t, ux, uy);
+        return;
       }
     }
   }
@@ -256,67 +243,41 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
     dx = dx / size;
     dy = dy / size;
   }
-  double here = gap_at(a, x, y);
-  bool squeezes = q.turned % 4 > 1;
-  double space = squeezes ? SQUEEZE : ROOM;
-#pragma unroll 1
-  for (int t = 0; t < (squeezes ? 13 : FEW_TURNS); t++) {
-    if (best == 1.0) break;  // the path itself, near by and free
-    int turn = turns[t];
-    double cos = cosines[turn < 0 ? -turn : turn];
-    double sin = turn >= 0 ? sines[turn] * side : -sines[-turn] * side;
-    double ux = dx * cos - dy * sin, uy = dx * sin + dy * cos;
-    double score = cos + 0.3 * (ux * q.hx + uy * q.hy);
-    if (score <= best) continue;
-    double reach = size > 0.35 ? 0.35 : size;
-    bool ok = true;
-    double qx, qy;
-#pragma unroll 1
-    for (int k = 0; ok && k < PARTS; k++) {
-      double part = k == 0 ? 0.34 : k == 1 ? 0.67 : 1.0;
-      qx = x + ux * reach * part;
-      qy = y + uy * reach * part;
-      if (!is_free(e, qx, qy)) {
-        ok = false;
-        break;
-      }
-      double clear = gap_at(a, qx, qy);
-      if (clear < space && clear < here + 0.2 * reach * part) ok = false;
-    }
-    if (ok && !is_free(e, x + ux * step, y + uy * step)) ok = false;
-    if (ok && !squeezes)  // whence one sees the path, one comes back to it
-      ok = clear_line(e, qx, qy, ahead.x, ahead.y) || clear_line(e, qx, qy, home.x, home.y);
-    if (ok) {
-      best = score;
-      bx = ux;
-      by = uy;
-    }
-  }
-  if (best < -1e29) {
-    q.wait++;
-    q.speed = 0.0;
-    turn_to(q, pace, dx, dy, pace.seconds);
+  t.ux = dx;
+  t.uy = dy;
+  t.hx = q.hx;
+  t.hy = q.hy;
+  t.size = size;
+  t.here = gap_at(a, x, y);
+  t.squeezes = q.turned % 4 > 1;
+  t.space = t.squeezes ? SQUEEZE : ROOM;
+  t.side = q.side;
+  t.ahead_x = ahead.x;
+  t.ahead_y = ahead.y;
+  t.home_x = home.x;
+  t.home_y = home.y;
+  t.kind = DIRECTIONS;
+  t.count = t.squeezes ? CANDIDATES_MOST : FEW_TURNS;
+}
+
+// The rest of a tick whose choice is made.
+__device__ __noinline__ void do_chosen(Person &q, const Episode &e, const Pace &pace, Around &a,
+                                       const Task &t, const double *scores) {
+  if (t.kind == SIDES) {
+    q.side = choose_side(scores);
     return;
   }
-  if (turn_to(q, pace, bx, by, pace.seconds) < SIDEWAYS) {
-    q.speed = 0.0;
-    return;
-  }
-  double nx = x + bx * step, ny = y + by * step;
-  double share = share_allowed(q, a, nx, ny, who);
-  if (share < 1.0) {
-    q.blocked_by = who;
-    now = 0.0;
+  int found = choose(t, scores);
+  a.near = t.near;
+  if (t.kind == PLACES) {
+    make_room(q, pace, a, t, found);
+  } else if (found < 0) {
     q.wait++;
-    share = share * 0.999;
-    nx = x + bx * step * share;
-    ny = y + by * step * share;
-    if (!is_free(e, nx, ny)) {
-      nx = x;
-      ny = y;
-    }
+    q.speed = 0.0;
+    turn_to(q, pace, t.ux, t.uy, pace.seconds);
+  } else {
+    double cos, bx, by;
+    turn_by_20(t, found, cos, bx, by);
+    walk_round(q, e, pace, a, t, bx, by);
   }
-  q.x = nx;
-  q.y = ny;
-  q.speed = now;
 }

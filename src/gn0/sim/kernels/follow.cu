@@ -23,12 +23,41 @@ struct Following {
 };
 static_assert(sizeof(Following) == FOLLOWING_BYTES, "device_layout.FOLLOWING differs from Following");
 
-struct Wall {
-  __device__ __forceinline__ bool operator()(const Episode &e, i64 row, i64 col) const {
-    if (row < 0 || col < 0 || row >= e.rows || col >= e.cols) return true;
-    return e.walls[row * e.cols + col] & WALL;
+#define AT_ONCE 8  // cells of a line
+
+// Whether a wall is in a cell; beyond the map is one.
+__device__ __forceinline__ bool is_wall(const Episode &e, int row, int col) {
+  bool inside = row >= 0 && col >= 0 && row < e.rows && col < e.cols;
+  return !inside | (e.walls[inside ? row * e.cols + col : 0] & WALL);
+}
+
+// Whether no wall is between two places: along the line of `trace_over`. Only that is asked of it, so
+// that no cell has to wait for the one before. Both are on the map, whose cells 32 bits count.
+__device__ __noinline__ bool see_through(const Episode &e, double x, double y, double x1,
+                                         double y1) {
+  int col = (int)cell_index(x, e.x, e.resolution), row = (int)cell_index(y, e.y, e.resolution);
+  int col1 = (int)cell_index(x1, e.x, e.resolution), row1 = (int)cell_index(y1, e.y, e.resolution);
+  int across = col1 > col ? col1 - col : col - col1, down = row1 > row ? row1 - row : row - row1;
+  int right = col1 > col ? 1 : -1, up = row1 > row ? 1 : -1, error = across - down;
+  bool hit = is_wall(e, row, col);
+#pragma unroll 1
+  while (!hit && (row != row1 || col != col1)) {
+#pragma unroll
+    for (int k = 0; k < AT_ONCE; k++) {  // at the end it stays there
+      int twice = 2 * error;
+      bool goes = row != row1 || col != col1;
+      bool sideways = goes && twice > -down, upwards = goes && twice < across;
+      if (sideways) error -= down;
+      if (upwards) error += across;
+      int next_row = upwards ? row + up : row, next_col = sideways ? col + right : col;
+      bool between = is_wall(e, row, next_col) & is_wall(e, next_row, col);
+      hit |= is_wall(e, next_row, next_col) | (sideways & upwards & between);
+      row = next_row;
+      col = next_col;
+    }
   }
-};
+  return !hit;
+}
 
 // How far an agent at (x, y) is from its reference place [m], for a person [4].
 __device__ __forceinline__ double measure_gap(const Episode &e, double x, double y,
@@ -61,9 +90,9 @@ __device__ __forceinline__ void judge_following(const World &w, const Crowd &c, 
   const double *person = person_of(c, e, i), *heading = e.headings + a.turns * 3;
   double dx = person[0] - a.p.x, dy = person[1] - a.p.y;
   double distance = sqrt(dx * dx + dy * dy);
-  double ahead = dx * heading[1] + dy * heading[2], x = a.p.x, y = a.p.y;
-  bool sight = !trace_over(e, Wall(), x, y, person[0], person[1]);
-  bool faced = ahead >= f.aligned * distance && sight, follows = faced && distance <= f.reach;
+  double ahead = dx * heading[1] + dy * heading[2];
+  bool faced = ahead >= f.aligned * distance && see_through(e, a.p.x, a.p.y, person[0], person[1]);
+  bool follows = faced && distance <= f.reach;
   int far = follows ? 0 : f.far[i];
   if (distance > f.lost_beyond) far++;
   double now = a.steps * f.step_seconds, over_at = f.over_at[i];
@@ -98,37 +127,45 @@ __device__ __forceinline__ void keep_following(const Following &f, int i, bool e
 }
 
 // `step_people` where somebody is followed; `move_people` comes before.
-KERNEL(step_following)(World w, Crowd c, Following f, const u8 *codes, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count || w.status[0] != CLEAR) return;
-  int slot = w.slot[i];
-  const Episode &e = w.episodes[slot];
-  Acted a = act_among(w, c, e, i, codes[i]);
-  judge_following(w, c, f, e, i, a);
-  write_step(w, e, i, slot, a, out);
-  bool ended = a.terminated || a.truncated;
-  keep_people(c, i, ended);
-  keep_following(f, i, ended);
-  int next = ended ? draw(w, i) : -1;
-  if (next >= 0) {
-    begin(w, i, next);
-    begin_people(w, c, w.episodes[next], i);
-    begin_following(c, f, w.episodes[next], i);
-  } else {
-    stay_in(w, i, a);
+KERNEL_BOUNDED(step_following, CROWD_THREADS, 2)(World w, Crowd c, Following f,
+                                                       const u8 *codes, Outputs out) {
+  __shared__ int nexts[WARP];
+  __shared__ u8 ends[WARP];
+  if (w.status[0] != CLEAR) return;  // all threads alike
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  bool leads = p == 0 && i < w.count;
+  if (leads) {
+    int slot = w.slot[i];
+    const Episode &e = w.episodes[slot];
+    Acted a = act_among(w, c, e, i, codes[i]);
+    judge_following(w, c, f, e, i, a);
+    write_step(w, e, i, slot, a, out);
+    ends[lane] = a.terminated || a.truncated;
+    keep_following(f, i, ends[lane]);
+    nexts[lane] = go_on_to(w, c, i, a);
   }
+  __syncthreads();
+  int next = i < w.count ? nexts[lane] : -1;
+  if (i < w.count) keep_person(c, p, i, ends[lane]);
+  if (next >= 0) begin_person(w, c, w.episodes[next], p, i);
+  __syncthreads();  // everybody is where they begin
+  if (!leads) return;
+  if (next >= 0) begin_following(c, f, w.episodes[next], i);
   tell(w, i, out);
 }
 
 // `place_people`, and those who follow have not begun to.
-KERNEL(place_following)(World w, Crowd c, Following f, const int *slots, Outputs out) {
-  int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count) return;
-  int slot = slots[i] == -2 ? draw(w, i) : slots[i];
-  if (slot >= 0) {
-    begin(w, i, slot);
-    begin_people(w, c, w.episodes[slot], i);
-    begin_following(c, f, w.episodes[slot], i);
-  }
+KERNEL_BOUNDED(place_following, CROWD_THREADS, 2)(World w, Crowd c, Following f,
+                                                        const int *slots, Outputs out) {
+  __shared__ int nexts[WARP];
+  int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
+  bool leads = p == 0 && i < w.count;
+  if (leads) nexts[lane] = place_agent(w, c, slots, i);
+  __syncthreads();
+  int next = i < w.count ? nexts[lane] : -1;
+  if (next >= 0) begin_person(w, c, w.episodes[next], p, i);
+  __syncthreads();  // everybody is where they begin
+  if (!leads) return;
+  if (next >= 0) begin_following(c, f, w.episodes[next], i);
   tell(w, i, out);
 }

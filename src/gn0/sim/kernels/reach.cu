@@ -1,7 +1,7 @@
 // What a person of an episode is doing, and what is in its reach: gn0/people/reach.py, function by
 // function and operation by operation. Numbers are those of that file and of route.py.
 
-#define LANES 32  // environments a block: neighbours in memory, one to a lane
+#define LANES ((int)blockDim.x)  // environments a block: neighbours in memory, one to a lane
 
 #define BRAKE 0.7
 #define ACCELERATION 0.8
@@ -88,6 +88,7 @@ struct Around {
   double agent_x, agent_y;
   double agent_radius, radius;  // m, of the agent and of people
   int count, p;                 // people, and who is looking
+  u32 near;                     // who is looked at, see `find_near`
 };
 
 // As Numba has them: which zero is kept shows in the bits.
@@ -110,6 +111,22 @@ __device__ __forceinline__ void see(const Around &a, int j, double x, double y, 
   }
 }
 
+// Cosine and sine of so much of the arc of a tick, along its chord. These two are called, not
+// written out where they are wanted: roots and quotients are long, and code must come from somewhere.
+__device__ __noinline__ double2 share_arc(double cos, double sin, double share) {
+  cos = 1.0 - share + share * cos;
+  sin = share * sin;
+  double size = sqrt(cos * cos + sin * sin);
+  return make_double2(cos / size, sin / size);
+}
+
+// A unit vector turned.
+__device__ __noinline__ double2 turn_vector(double hx, double hy, double cos, double sin) {
+  double nx = hx * cos - hy * sin, ny = hx * sin + hy * cos;
+  double size = sqrt(nx * nx + ny * ny);
+  return make_double2(nx / size, ny / size);
+}
+
 // Turn towards a unit vector, by as much as a body may; the cosine that is left.
 __device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx, double ty,
                                           double seconds) {
@@ -117,13 +134,10 @@ __device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx
   if (hx == tx && hy == ty) return 1.0;
   double cosine = hx * tx + hy * ty;
   double cos = pace.cos, sin = pace.sin;
-  if (seconds < pace.seconds) {  // so much of the arc of a tick, along its chord
-    double share = seconds / pace.seconds;
-    cos = 1.0 - share + share * cos;
-    sin = share * sin;
-    double size = sqrt(cos * cos + sin * sin);
-    cos = cos / size;
-    sin = sin / size;
+  if (seconds < pace.seconds) {
+    double2 arc = share_arc(cos, sin, seconds / pace.seconds);
+    cos = arc.x;
+    sin = arc.y;
   }
   if (cosine >= cos) {
     q.hx = tx;
@@ -131,13 +145,10 @@ __device__ __forceinline__ double turn_to(Person &q, const Pace &pace, double tx
     return 1.0;
   }
   if (hx * ty - hy * tx < 0.0) sin = -sin;
-  double nx = hx * cos - hy * sin, ny = hx * sin + hy * cos;
-  double size = sqrt(nx * nx + ny * ny);
-  nx = nx / size;
-  ny = ny / size;
-  q.hx = nx;
-  q.hy = ny;
-  return nx * tx + ny * ty;
+  double2 turned = turn_vector(hx, hy, cos, sin);
+  q.hx = turned.x;
+  q.hy = turned.y;
+  return turned.x * tx + turned.y * ty;
 }
 
 // Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m].
@@ -147,18 +158,33 @@ __device__ __forceinline__ double cap_speed(double v, double after, double room,
   return inside > 0.0 ? most_of(sqrt(inside) - half, 0.0) : 0.0;
 }
 
-// Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least.
-__device__ __forceinline__ double share_allowed(const Person &q, const Around &a, double nx,
+// Whose bodies are nearer than `gap` [m], in bits: 1 the agent, 2 << j person j. What is farther
+// costs time and changes nothing, as in reach.py.
+__device__ __forceinline__ u32 find_near(const Around &a, double x, double y, double gap) {
+  double dx = a.agent_x - x, dy = a.agent_y - y, reach = a.radius + a.agent_radius + gap;
+  u32 near = dx * dx + dy * dy < reach * reach ? 1u : 0u;
+  reach = 2.0 * a.radius + gap;
+  reach = reach * reach;
+#pragma unroll 4  // nobody's place waits for another's
+  for (int j = 0; j < a.count; j++) {
+    double ox = a.x0[j * LANES] - x, oy = a.y0[j * LANES] - y;
+    if (ox * ox + oy * oy < reach) near |= 2u << j;
+  }
+  return near & ~(2u << a.p);
+}
+
+// Share of the step from (x, y) to (nx, ny) that half of every gap allows, 1 all; and who allows least.
+__device__ __forceinline__ double share_allowed(double x, double y, const Around &a, double nx,
                                                 double ny, int &who) {
-  double x = q.x0, y = q.y0, sx = nx - x, sy = ny - y, share = 1.0;
+  double sx = nx - x, sy = ny - y, share = 1.0;
   who = NOBODY;
 #pragma unroll 1
-  for (int j = -1; j < a.count; j++) {
-    if (j == a.p) continue;
+  for (u32 near = a.near; near; near &= near - 1) {
+    int j = __ffs((int)near) - 2;
     double dx, dy, reach;
     see(a, j, x, y, dx, dy, reach);
-    double square = dx * dx + dy * dy, near = reach + 0.5;
-    if (square > near * near) continue;
+    double square = dx * dx + dy * dy, seen = reach + 0.5;
+    if (square > seen * seen) continue;
     double along = sx * dx + sy * dy;
     if (along <= 0.0) continue;
     double apart = sqrt(square);
@@ -180,22 +206,12 @@ __device__ __forceinline__ double share_allowed(const Person &q, const Around &a
   return share;
 }
 
-// Whether anybody's middle is nearer than `reach` [m].
-__device__ __forceinline__ bool is_crowded(const Person &q, const Around &a, double reach) {
-#pragma unroll 1
-  for (int j = -1; j < a.count; j++) {
-    if (j == a.p) continue;
-    double dx, dy, unused;
-    see(a, j, q.x0, q.y0, dx, dy, unused);
-    if (dx * dx + dy * dy < reach * reach) return true;
-  }
-  return false;
-}
-
 // The piece of a path that a way is on.
 __device__ __forceinline__ int piece_at(const Route &r, double way, int piece) {
   int k = piece;
+#pragma unroll 1
   while (k < r.last && way >= point_of(r, k + 1)[4]) k++;
+#pragma unroll 1
   while (k > 0 && way < point_of(r, k)[4]) k--;
   return k;
 }
@@ -220,7 +236,8 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
                                              int piece, int sign, double reach, int &who) {
   double gone = 0.0;
   who = NOBODY;
-  while (gone < reach) {
+#pragma unroll 1
+  while (gone < reach && a.near) {
     double at = way + sign * gone;
     if (at > r.length) {
       if (r.after != LOOP) break;
@@ -235,13 +252,13 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
     piece = s.piece;
     double tx = sign * s.tx, ty = sign * s.ty, best = reach;
 #pragma unroll 1
-    for (int j = -1; j < a.count; j++) {
-      if (j == a.p) continue;
-      double dx, dy, near;
-      see(a, j, s.x, s.y, dx, dy, near);
-      near = near + 0.02;
+    for (u32 near = a.near; near; near &= near - 1) {
+      int j = __ffs((int)near) - 2;
+      double dx, dy, body;
+      see(a, j, s.x, s.y, dx, dy, body);
+      body = body + 0.02;
       double along = dx * tx + dy * ty, aside = dx * ty - dy * tx;
-      double under = near * near - aside * aside;
+      double under = body * body - aside * aside;
       if (along <= 0.0 || under <= 0.0) continue;
       double room = along - sqrt(under);
       if (room < SAMPLE) {  // of this sample's own; what is farther, later ones find
@@ -258,23 +275,82 @@ __device__ __forceinline__ double room_ahead(const Around &a, const Route &r, do
   return reach;
 }
 
-// Whether a person's centre may be there, as far as walls go.
-__device__ __forceinline__ bool is_free(const Episode &e, double x, double y) {
-  i64 col = (i64)floor((x - e.x) / e.resolution), row = (i64)floor((y - e.y) / e.resolution);
-  if (row < 0 || col < 0 || row >= e.rows || col >= e.cols) return false;
-  return !(e.walls[row * e.cols + col] & WALL_NEAR);
+// Where walls are.
+struct Ground {
+  const Episode *episode;
+  const u8 *walls;
+  double x, y, per;  // of the map: its origin [m], cells a metre
+  int rows, cols;
+};
+
+__device__ __forceinline__ Ground ground_of(const Episode &e) {
+  Ground g = {&e, e.walls, e.x, e.y, 1.0 / e.resolution, e.rows, e.cols};
+  return g;
 }
 
-// Least gap [m] to anybody from a place.
+// Number of the cell of a place, -1 beyond the map, as reach.py divides.
+__device__ __noinline__ int find_cell(const Episode *e, double x, double y) {
+  i64 col = (i64)floor((x - e->x) / e->resolution), row = (i64)floor((y - e->y) / e->resolution);
+  if (row < 0 || col < 0 || row >= e->rows || col >= e->cols) return -1;
+  return (int)(row * e->cols + col);
+}
+
+#define UNSURE 1e-6  // cells: a product and a quotient of numbers below 1e6 are nearer by far
+
+// The same by a product, which is quicker; `sure` turns false where it may be another cell's.
+__device__ __forceinline__ int guess_cell(const Ground &g, double x, double y, bool &sure) {
+  double u = (x - g.x) * g.per, v = (y - g.y) * g.per;
+  double left = floor(u), low = floor(v), a = u - left, b = v - low;
+  sure = sure && fabs(u) < 1e6 && fabs(v) < 1e6 && a > UNSURE && a < 1.0 - UNSURE && b > UNSURE &&
+         b < 1.0 - UNSURE;
+  int col = sure ? (int)left : -1, row = sure ? (int)low : -1;
+  return row >= 0 && col >= 0 && row < g.rows && col < g.cols ? row * g.cols + col : -1;
+}
+
+// Whether a person's centre may be at all of some places, as far as walls go. None waits for another.
+template <int N>
+__device__ __forceinline__ bool are_free(const Ground &g, const double *x, const double *y) {
+  int cells[N];
+  bool sure = true, inside = true;
+#pragma unroll
+  for (int k = 0; k < N; k++) cells[k] = guess_cell(g, x[k], y[k], sure);
+  if (!sure) {
+#pragma unroll
+    for (int k = 0; k < N; k++) cells[k] = find_cell(g.episode, x[k], y[k]);
+  }
+  u8 walls = 0;
+#pragma unroll
+  for (int k = 0; k < N; k++) {
+    inside = inside && cells[k] >= 0;
+    walls |= g.walls[cells[k] < 0 ? 0 : cells[k]];
+  }
+  return inside && !(walls & WALL_NEAR);
+}
+
+__device__ __forceinline__ bool is_free(const Ground &g, double x, double y) {
+  return are_free<1>(g, &x, &y);
+}
+
+// Whether five places of a short line are free of walls.
+__device__ __forceinline__ bool clear_line(const Ground &g, double x, double y, double u, double v) {
+  double xs[5], ys[5];
+#pragma unroll
+  for (int k = 0; k < 5; k++) {
+    xs[k] = x + (u - x) * (0.2 * (k + 1));
+    ys[k] = y + (v - y) * (0.2 * (k + 1));
+  }
+  return are_free<5>(g, xs, ys);
+}
+
+// Least gap [m] to anybody near from a place.
 __device__ __forceinline__ double gap_at(const Around &a, double x, double y) {
   double least = SIGHT;
 #pragma unroll 1
-  for (int j = -1; j < a.count; j++) {
-    if (j == a.p) continue;
-    double dx, dy, near;
-    see(a, j, x, y, dx, dy, near);
+  for (u32 near = a.near; near; near &= near - 1) {
+    double dx, dy, body;
+    see(a, __ffs((int)near) - 2, x, y, dx, dy, body);
     double square = dx * dx + dy * dy;
-    if (square < (least + near) * (least + near)) least = sqrt(square) - near;
+    if (square < (least + body) * (least + body)) least = sqrt(square) - body;
   }
   return least;
 }

@@ -2,6 +2,7 @@
 
 // Stand at a stop for so long, or begin to; the seconds that are left after it.
 __device__ __forceinline__ double hold_on(Person &q, const Route &r, const Pace &pace, double seconds) {
+#pragma unroll 1
   while (seconds > 0.0) {
     const double *stop = r.holds + 4 * q.hold;
     if (q.hold_left <= 0.0) {
@@ -74,6 +75,7 @@ __device__ __forceinline__ double advance(Person &q, const Route &r, const Pace 
     dt = dt * ((aligned - ALIGNED) / (aligned - before));
   // bends: the next points
   int points = r.last + 2;
+#pragma unroll 1
   for (int k = sign > 0 ? piece + 1 : piece; 0 <= k && k < points; k += sign) {
     const double *point = point_of(r, k);
     double room = sign * (point[4] - way);
@@ -162,15 +164,22 @@ __device__ __forceinline__ bool yields_to(const Person &q, const Around &a, int 
 }
 
 // A tick on the path.
-__device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &e,
-                                      const Pace &pace, const Around &a) {
+__device__ __forceinline__ void go_on(Person &q, const Route &r, const Pace &pace,
+                                      Around &a, Task &t) {
   int sign = q.direction, piece = q.piece, held = q.hold, mode = q.mode;
   double way = q.way, hold_left = q.hold_left, v = q.speed;
   double ahead = SIGHT;
   int blocker = NOBODY;
   double reach = least_of(0.5 + v * v / (2.0 * BRAKE) + 0.25, SIGHT - 0.01);
-  bool near = mode == ON_PATH && hold_left <= 0.0 &&
-              is_crowded(q, a, reach + 2.0 * a.radius + 0.1);
+  a.near = 0;
+  if (mode == ON_PATH && hold_left <= 0.0) {
+    a.near = find_near(a, q.x0, q.y0, reach + 0.1);
+    if (a.near == 1 && a.agent_radius > a.radius) {  // by its middle, as people are
+      double dx = a.agent_x - q.x0, dy = a.agent_y - q.y0, within = reach + 2.0 * a.radius + 0.1;
+      if (dx * dx + dy * dy >= within * within) a.near = 0;
+    }
+  }
+  bool near = a.near != 0;
   if (near) {
     ahead = room_ahead(a, r, way, piece, sign, reach, blocker);
     if (blocker == NOBODY) ahead = SIGHT;
@@ -182,7 +191,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   bool clear = blocker == NOBODY || (room > 0.0 && 2.0 * BRAKE * room >= v * v);
   if (clear && v > 0.0 && cruise(q, r, pace)) {
     int who;
-    if (!near || share_allowed(q, a, q.x, q.y, who) >= 1.0) return;
+    if (!near || share_allowed(q.x0, q.y0, a, q.x, q.y, who) >= 1.0) return;
     q.way = way;
     q.x = q.x0;
     q.y = q.y0;
@@ -195,7 +204,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
   Spot s = place_at(r, q.way, q.piece);
   if (near && gone > 0.0) {
     int who;
-    double share = share_allowed(q, a, s.x, s.y, who);
+    double share = share_allowed(q.x0, q.y0, a, s.x, s.y, who);
     if (share < 1.0) {  // less of the way, as if the tick had brought no more
       blocker = who;
       gone = gone * share * 0.999;
@@ -205,7 +214,7 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
         there = way;
       }
       s = place_at(r, there, piece);
-      share = share_allowed(q, a, s.x, s.y, who);
+      share = share_allowed(q.x0, q.y0, a, s.x, s.y, who);
       if (share < 1.0) {
         gone = 0.0;
         there = way;
@@ -231,8 +240,14 @@ __device__ __forceinline__ void go_on(Person &q, const Route &r, const Episode &
       q.mode = ROUND;
       q.round_ticks = 0;
       q.wait = 0;
-      q.side = choose_side(q.x, q.y, e, a, sign * s.tx, sign * s.ty);
+      a.near = find_near(a, q.x0, q.y0, 1.2 + ROOM);
       q.speed = 0.0;
+      t.x = q.x;
+      t.y = q.y;
+      t.ux = sign * s.tx;
+      t.uy = sign * s.ty;
+      t.kind = SIDES;
+      t.count = 6;
     }
   } else {
     q.wait = 0;
@@ -268,36 +283,44 @@ __device__ __forceinline__ void place_feet(Person &q, double hx, double hy) {
   for (int k = 0; k < 4; k++) {
     if (fx * x + fy * y > PIVOT_COS) break;
     double side = fx * y - fy * x >= 0.0 ? PIVOT_COS : -PIVOT_COS;
-    double nx = fx * PIVOT_COS - fy * side, ny = fx * side + fy * PIVOT_COS;
-    double size = sqrt(nx * nx + ny * ny);
-    q.fx = fx = nx / size;
-    q.fy = fy = ny / size;
+    double2 turned = turn_vector(fx, fy, PIVOT_COS, side);
+    q.fx = fx = turned.x;
+    q.fy = fy = turned.y;
   }
 }
 
-// One person's next tick; its own last place is set already.
-__device__ __forceinline__ void tick_person(Person &q, const Route &r, const Episode &e,
-                                            const Pace &pace, const Around &a) {
+// One person's next tick, up to a choice that `t` tells of; its own last place is set already.
+__device__ __forceinline__ void begin_tick(Person &q, const Route &r, const Episode &e,
+                                           const Pace &pace, Around &a, Task &t) {
+  t.kind = NO_TASK;
+  if (r.behaviour != SCRIPT) return;
+  q.blocked_by = NOBODY;
+  if (q.back_left > 0) {
+    q.back_left--;
+    if (q.back_left == 0 && q.mode == ON_PATH) q.direction = 1;
+    else if (q.back_left == 0) q.back_left = 1;
+  }
+  if (q.lent_left > 0) {
+    q.lent_left--;
+    if (q.lent_left == 0) q.claim = r.right;
+  }
+  if (q.mode == ROUND) {
+    Person copy = q;  // whose address is taken lies in memory: not the one in registers
+    go_round(copy, r, e, pace, a, t);
+    q = copy;
+  } else {
+    go_on(q, r, pace, a, t);
+  }
+  t.near = a.near;
+  t.p = a.p;
+  t.episode = &e;
+}
+
+// What a tick was for looks, of one that began with a heading.
+__device__ __forceinline__ void end_tick(Person &q, const Route &r, const Pace &pace, double hx,
+                                         double hy) {
   int was = q.clip;
-  double hx = q.hx, hy = q.hy;
   if (r.behaviour == SCRIPT) {
-    q.blocked_by = NOBODY;
-    if (q.back_left > 0) {
-      q.back_left--;
-      if (q.back_left == 0 && q.mode == ON_PATH) q.direction = 1;
-      else if (q.back_left == 0) q.back_left = 1;
-    }
-    if (q.lent_left > 0) {
-      q.lent_left--;
-      if (q.lent_left == 0) q.claim = r.right;
-    }
-    if (q.mode == ROUND) {
-      Person copy = q;  // whose address is taken lies in memory: not the one in registers
-      go_round(copy, r, e, pace, a);
-      q = copy;
-    } else {
-      go_on(q, r, e, pace, a);
-    }
     double dx = q.x - q.x0, dy = q.y - q.y0;
     double gone = sqrt(dx * dx + dy * dy);
     q.walked += gone;

@@ -23,7 +23,7 @@ from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
 from gn0.render.cuda.cloud import CloudDevice, CloudLabels
 from gn0.render.cuda.records import FindSlots, PoseSplats
-from gn0.render.cuda.tables import CHUNK, NOWHERE
+from gn0.render.cuda.tables import CHUNK
 from gn0.render.instance import PART_SPLATS_MAX
 from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
 
@@ -89,7 +89,7 @@ class RestDevice:
     Attributes:
         skin: float32 [rows, 16] centre, normal, turn, weights, joints (bytes).
         rest: float32 [rows, 8] scales, log opacity, colours (halves), extent.
-        order, places: as of a `CloudDevice`.
+        order: as of a `CloudDevice`.
         size, alive, lying: splats, those that can show, and those of them that lie on the floor.
         reach: how far from each joint what hangs on it is (-1: nothing does), and its place at
             rest [55, 4] m.
@@ -100,7 +100,6 @@ class RestDevice:
     skin: DeviceArray
     rest: DeviceArray
     order: DeviceArray
-    places: DeviceArray
     size: int
     alive: int
     lying: int
@@ -116,7 +115,7 @@ class RestDevice:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return sum(a.nbytes for a in (self.skin, self.rest, self.order, self.places))
+        return sum(a.nbytes for a in (self.skin, self.rest, self.order))
 
 
 class Posing(NamedTuple):
@@ -155,8 +154,6 @@ def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
     index = np.concatenate([shown[morton_order(cloud.points[shown])], np.arange(body, count)])
     alive = len(index)
     rows = -(-alive // CHUNK) * CHUNK
-    places = np.full(count, NOWHERE, np.uint32)
-    places[index] = np.arange(alive, dtype=np.uint32)
     order = np.zeros(rows, np.uint32)
     order[:alive] = index
     skin, rest = np.zeros((rows, 16), np.float32), np.zeros((rows, 8), np.float32)
@@ -184,7 +181,6 @@ def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
         skin=device.upload(skin),
         rest=device.upload(rest),
         order=device.upload(order),
-        places=device.upload(places),
         size=count,
         alive=alive,
         lying=cloud.lying,
@@ -229,7 +225,7 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
             CloudDevice(
                 splats=splats,
                 order=rest.order,
-                places=rest.places,
+                places=None,  # a look-up less for each splat that is drawn
                 sh=None,
                 boxes=boxes,
                 degree=0,

@@ -67,6 +67,7 @@ from gn0.render.renderer import Output
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
+_GROUPERS = 1024  # threads that group views
 _SAMPLED = 4096  # lists from which on they get room by a sample of the splats
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
@@ -520,7 +521,7 @@ class Drawer:
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
             groups = lists.to_group_views(every, known, shown)
-            self._kernels["group_views"].launch(1, 256, groups)
+            self._kernels["group_views"].launch(1, _GROUPERS, groups)
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
         """Let the device write the views of instances behind the others."""

@@ -3,7 +3,8 @@
 `python -m gn0_figures.tune` prints milliseconds a stage for the standard cases on the device that
 `GN0_DEVICE` names (the host emulation draws tiny ones), and for the scenes of our own in the folder
 that `GN0_FIGURE_SCENES` names; `--sweep` also tries other kernel sizes and says whether their
-pictures are the same bytes. Nothing is written.
+pictures are the same bytes. `--people` prints each kernel instead, with and without people in
+sight. Nothing is written.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from gn0_figures.device import describe_device, is_emulation, open_figure_device
 from gn0_figures.device_scenes import FigureScene, flat_scene, scene_of
 from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0_figures.stages import time_stages
+from gn0_figures.tune_people import print_people
 
 _POSES = 4  # different sets of poses, taken in turn
 _BLACK = np.zeros(3, np.float32)
@@ -243,10 +245,14 @@ def time_case(case: TuneCase, device: Device, tuning: Tuning, repeat: int) -> st
 
 
 def main(arguments: list[str]) -> None:
-    """`[--sweep] [part of a case's name]`."""
+    """`[--sweep] [part of a case's name]`, or `--people`."""
     sweep = "--sweep" in arguments
     only = next((word for word in arguments if not word.startswith("--")), "")
     device = open_figure_device()
+    if "--people" in arguments:
+        print(describe_device(device))
+        print_people(device)
+        return
     repeat = 1 if is_emulation(device) else 9
     head = " ".join(f"{name:>8}" for name in _COLUMNS)
     print(describe_device(device))

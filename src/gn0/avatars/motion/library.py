@@ -276,9 +276,12 @@ class ClipLibrary:
         Raises:
             DataError: no clip of that name.
         """
-        plans = [self._between([blend[side] for blend in blends]) for side in (0, 1)]
+        before = self._between([first for first, _, _ in blends])
+        after = self._between([second for _, second, _ in blends])
         mix = step_plans if steps else mix_plans
-        return solve_plan(self.build, mix(*plans, np.array([share for _, _, share in blends])))
+        return solve_plan(
+            self.build, mix(before, after, np.array([share for _, _, share in blends]))
+        )
 
     def _between(self, places: Sequence[tuple[str, float, float]]) -> Plan:
         """Plans of clips between their frames, each at (name, at, speed)."""

@@ -318,9 +318,8 @@ def _find_capsules(wanted: Sequence[Posing]) -> F32:
     transforms = np.stack([one.transforms for one in wanted])
     away = np.where(reach[..., :1] < 0, -np.inf, reach[..., :1])  # where nothing hangs: no corner
     placed = np.einsum("njab,njb->nja", transforms[..., :3], reach[..., 1:]) + transforms[..., 3]
-    below = [np.concatenate([one.floor[:, :3], [_MIDDLE]]) for one in wanted]
-    first = np.cumsum([0, *map(len, below[:-1])])
-    below = np.concatenate(below)
+    below = np.concatenate([part for one in wanted for part in (one.floor[:, :3], [_MIDDLE])])
+    first = np.cumsum([0, *(len(one.floor) + 1 for one in wanted[:-1])])
     low = np.minimum((placed - away).min(axis=1), np.minimum.reduceat(below, first))
     high = np.maximum((placed + away).max(axis=1), np.maximum.reduceat(below, first))
     found = np.empty((len(wanted), 7), np.float32)

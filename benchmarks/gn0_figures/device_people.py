@@ -17,6 +17,7 @@ from gn0.sim.follow_episodes import follow_ways
 from gn0.sim.vector import VectorEnv
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.device import is_emulation
+from gn0_figures.device_people_seen import measure_seen
 from gn0_figures.device_rates import WALK, measure_rate
 from gn0_figures.people_sim import FOLLOWER, plan_episodes
 
@@ -27,7 +28,7 @@ COMPARED = 60  # steps
 
 
 def measure_people(ctx: FigureContext) -> list[FigureRow]:
-    """Steps a second with 0, 1, 5 and 8 people, following, and against the CPU to the bit."""
+    """Steps a second with 0, 1, 5 and 8 people, following, against the CPU to the bit, and seen."""
     tiny = is_emulation(ctx.device)
     rows: list[FigureRow] = []
 
@@ -67,6 +68,8 @@ def measure_people(ctx: FigureContext) -> list[FigureRow]:
     add(FigureRow(name="the same, following", value=rate, unit="1/s", detail=detail))
     del env
     add(_compare(ctx, count, 5 if tiny else COMPARED, scenes, episodes))
+    for row in measure_seen(ctx):
+        add(row)
     return rows
 
 

@@ -3,8 +3,8 @@
 `python -m gn0_figures.tune` prints milliseconds a stage for the standard cases on the device that
 `GN0_DEVICE` names (the host emulation draws tiny ones), and for the scenes of our own in the folder
 that `GN0_FIGURE_SCENES` names; `--sweep` also tries other kernel sizes and says whether their
-pictures are the same bytes. `--people` times the kernels of a step among people instead, see
-`gn0_figures.tune_people`. Nothing is written.
+pictures are the same bytes. `--people` times kernels one by one instead, of pictures and of steps
+among people, see `gn0_figures.tune_people_drawn` and `gn0_figures.tune_people`. Nothing is written.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from gn0_figures.device_scenes import FigureScene, flat_scene, scene_of
 from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0_figures.stages import time_stages
 from gn0_figures.tune_people import list_lines
+from gn0_figures.tune_people_drawn import print_people
 
 _POSES = 4  # different sets of poses, taken in turn
 _BLACK = np.zeros(3, np.float32)
@@ -251,6 +252,7 @@ def main(arguments: list[str]) -> None:
     device = open_figure_device()
     if "--people" in arguments:
         print(describe_device(device))
+        print_people(device)
         for line in list_lines(device):
             print(line, flush=True)
         return

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gn0.avatars.avatar import SHADOWS, Avatar
-from gn0.avatars.posed_device import PosedBankDevice, posing_of, rest_of
+from gn0.avatars.posed_device import PosedBankDevice, posing_of, posings_of, rest_of
 from gn0.avatars.poses import standing_pose, stride_pose
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, RenderError
@@ -18,7 +18,7 @@ from gn0.geometry import F64, rotation_from_quaternion, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.posed import bring_rest, pose_clouds
+from gn0.render.cuda.posed import bring_rest, place_codes, pose_clouds
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
@@ -195,6 +195,39 @@ def test_a_kernel_asks_by_codes(batch: RendererBatch) -> None:
     ]
     want = batch.render(CAMERA, np.stack([VIEW, VIEW]), "flat", parts=host)
     assert got.rgb.tobytes() == want.rgb.tobytes() and got.depth.tobytes() == want.depth.tobytes()
+
+
+def test_many_are_posed_as_each_alone() -> None:
+    """To the bit: a cloud does not show with whom it was made."""
+    device, people = DeviceHost(), [small_person(k, 0.1) for k in (0, 1)]
+    rests = [bring_rest(device, rest_of(one)) for one in people]
+    wanted = [
+        (people[k % 2], rests[k % 2], *Posture(0.1 * k).turn())
+        for k in range(5)
+    ]  # fmt: skip
+    together = pose_clouds(device, posings_of(wanted))
+    for one, cloud in zip(wanted, together, strict=True):
+        (alone,) = pose_clouds(device, [posing_of(*one)])
+        assert cloud.step == alone.step and np.array_equal(cloud.bounds, alone.bounds)
+        for name in ("splats", "boxes"):
+            assert np.array_equal(getattr(cloud, name).numpy(), getattr(alone, name).numpy())
+
+
+def test_codes_lie_where_a_kernel_looks_for_them() -> None:
+    """Also those that go on from the table's start."""
+    slots = {code: code % 97 for code in range(1, 4000, 7)}
+    places = 1024
+    keys, found = place_codes(slots, places)
+    assert (keys > 0).sum() == len(slots)
+    around = 0
+    for code, slot in slots.items():
+        at = code * 0x9E3779B97F4A7C15 >> 32 & places - 1
+        around += at + 8 > places
+        while keys[at] != code:
+            assert keys[at], "a free place on the way"
+            at = (at + 1) % places
+        assert found[at] == slot
+    assert around
 
 
 def test_who_was_found_by_a_kernel_counts_as_used(batch: RendererBatch) -> None:

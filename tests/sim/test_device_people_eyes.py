@@ -88,7 +88,11 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
         assert not codes[i, len(episode.people) :].any()
         for p, person in enumerate(episode.people):
             away = real[i, p, :2] - (x, y)
-            seen = away @ (np.cos(yaw), np.sin(yaw)) >= -1.0
+            before = away @ (np.cos(yaw), np.sin(yaw))
+            beside = abs(away @ (-np.sin(yaw), np.cos(yaw)))
+            wide = (EYE.width / 2 + 4.0) / EYE.fx
+            seen = before >= -1.0
+            seen &= beside <= wide * max(before, 0.0) + 1.2 * np.hypot(1.0, wide)
             assert bool(codes[i, p]) == seen
             if not seen:
                 continue
@@ -156,6 +160,19 @@ def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -
                 alone.add(shown.clip)
     assert {"pivot_left", "pivot_right", "settle_left", "settle_right", "walk"} < alone
     assert {("pivot_", "walk"), ("settle", "walk"), ("walk", "pivot_")} <= blends
+
+
+def test_who_is_beside_a_picture_is_not_posed(episodes, bank, preset) -> None:
+    """And the pictures are the same bytes as if all before the eye were."""
+    wide = open_device_env(episodes, bank, preset)
+    wide._eyes.people._sides = np.inf, np.inf
+    env = open_device_env(episodes, bank, preset)
+    posed = []
+    for one in (env, wide):
+        one.reset(seed=0, options={"episode": [e.id for e in episodes]})
+        drawn = [one.step(np.array([2, 3, 1]))[0]["rgb"].numpy().tobytes() for _ in range(6)]
+        posed.append((int((one._eyes.people._shown[0].numpy() > 0).sum()), drawn))
+    assert posed[0][0] < posed[1][0] and posed[0][1] == posed[1][1]
 
 
 def test_light_is_that_of_the_scene_s_probes(episodes, bank, preset) -> None:

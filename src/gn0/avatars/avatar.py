@@ -26,6 +26,7 @@ from gn0.jit import njit, prange
 TO_WORLD: F64 = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of the body's axes
 TO_WORLD.setflags(write=False)
 _SHADOWED = ("left_ankle", "right_ankle", "left_foot", "right_foot", "pelvis")
+_AT_SHADOWS = np.array([INDEX[name] for name in _SHADOWED])
 _FOOT_SIZE, _WIDE_SIZE = 0.030, 0.065  # of the contact shadow's splats [m]
 _RAISED = 0.024  # over the floor, whose splats are large; below the top of a shoe [m]
 
@@ -189,34 +190,53 @@ def contact_shadow(joints: F64) -> GaussianCloud:
     small: a renderer draws splats by the depth of their middles, so that the near half of a large
     one is lost in a floor of small ones.
     """
-    at = np.array([joints[INDEX[name]] for name in _SHADOWED])
-    ankles, toes, pelvis = at[:2], at[2:4], at[4]
-    lifted = np.maximum(toes[:, 1] - 0.02, 0.0)
-    along = (toes - ankles) * (1.0, 0.0, 1.0)
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
-    across = along[:, [2, 1, 0]] * (1.0, 0.0, -1.0)
-    middle = 0.4 * ankles + 0.6 * toes
-    feet = (
-        middle[:, None] + _FOOT[:, 0, None] * along[:, None] + _FOOT[:, 1, None] * across[:, None]
-    )
-    wide = pelvis + np.column_stack([_WIDE[:, 0], np.zeros(len(_WIDE)), _WIDE[:, 1]])
-    places = np.concatenate([feet.reshape(-1, 3), wide])
-    strength = np.concatenate([
-        (np.exp(-lifted / 0.08)[:, None] * _FOOT[:, 2]).ravel(),
-        np.exp(-max(pelvis[1] - 0.9, 0.0)) * _WIDE[:, 2],
-    ])  # fmt: skip
+    below = shadow_places(joints)
     size = np.concatenate([np.full(2 * len(_FOOT), _FOOT_SIZE), np.full(len(_WIDE), _WIDE_SIZE)])
     dark = np.full((SHADOWS, 3), 0.012, np.float32)
     return GaussianCloud(
-        means=((places * (1.0, 0.0, 1.0)) @ TO_WORLD.T + (0.0, 0.0, _RAISED)).astype(np.float32),
+        means=np.ascontiguousarray(below[:, :3]),
         quats=np.tile(np.array([1, 0, 0, 0], np.float32), (SHADOWS, 1)),
         scales=np.column_stack([size, size, np.full(SHADOWS, 0.001)]).astype(np.float32),
-        opacities=strength.astype(np.float32),
+        opacities=np.ascontiguousarray(below[:, 3]),
         sh=colour_sh(dark),
         label=np.full(SHADOWS, PARTS.index("shadow"), np.int32),
         albedo=dark,
         normal=np.tile(np.array([0, 0, 1], np.float32), (SHADOWS, 1)),
     )
+
+
+def shadow_places(joints: F64) -> F32:
+    """Where the splats of contact shadows lie, in GN0's axes [m], and their opacities.
+
+    Args:
+        joints: of posed bodies, body frame [..., 55, 3] m.
+
+    Returns:
+        [..., SHADOWS, 4].
+    """
+    at = joints[..., _AT_SHADOWS, :]
+    ankles, toes, pelvis = at[..., :2, :], at[..., 2:4, :], at[..., 4, :]
+    lifted = np.maximum(toes[..., 1] - 0.02, 0.0)
+    along = (toes - ankles) * (1.0, 0.0, 1.0)
+    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-6)
+    across = along[..., [2, 1, 0]] * (1.0, 0.0, -1.0)
+    middle = 0.4 * ankles + 0.6 * toes
+    feet = (
+        middle[..., None, :]
+        + _FOOT[:, 0, None] * along[..., None, :]
+        + _FOOT[:, 1, None] * across[..., None, :]
+    )
+    wide = pelvis[..., None, :] + np.column_stack([_WIDE[:, 0], np.zeros(len(_WIDE)), _WIDE[:, 1]])
+    many = joints.shape[:-2]
+    places = np.concatenate([feet.reshape(*many, -1, 3), wide], axis=-2)
+    found = np.empty((*many, SHADOWS, 4), np.float32)
+    found[..., 0], found[..., 1], found[..., 2] = places[..., 2], places[..., 0], _RAISED
+    treads = np.exp(-lifted / 0.08)[..., None] * _FOOT[:, 2]
+    found[..., : 2 * len(_FOOT), 3] = treads.reshape(*many, -1)
+    found[..., 2 * len(_FOOT) :, 3] = (
+        np.exp(-np.maximum(pelvis[..., 1, None] - 0.9, 0.0)) * _WIDE[:, 2]
+    )
+    return found
 
 
 @njit(parallel=True)

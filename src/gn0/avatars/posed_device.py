@@ -11,15 +11,17 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from gn0.avatars.avatar import SHADOWS, Avatar, contact_shadow
+from gn0.avatars.avatar import SHADOWS, TO_WORLD, Avatar, shadow_places
+from gn0.avatars.body import check_pose
 from gn0.avatars.posed_bank import BUDGET
+from gn0.avatars.skinning import compose_joints, rotations_of
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError
-from gn0.geometry import F64
+from gn0.geometry import F64, quaternion_from_rotation
 from gn0.render.cuda.posed import Posing, RestCloud, RestDevice, SlotFinder, posed_bytes
 
 
@@ -38,6 +40,16 @@ class AvatarPose(Protocol):
 
     def turn(self) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m."""
+        ...
+
+
+@runtime_checkable
+class PosesTogether(Protocol):
+    """A pose whose like are quicker found together."""
+
+    @staticmethod
+    def turn_all(poses: Sequence[Any]) -> list[tuple[F64, F64]]:
+        """What `turn` gives for each of the same type."""
         ...
 
 
@@ -88,10 +100,27 @@ def posing_of(avatar: Avatar, rest: RestDevice, pose: F64, shift: F64 | None = N
     Raises:
         DataError: the pose has another number of joints, or is not finite.
     """
-    world, turns, joints = avatar.place_joints(pose, shift)
-    below = contact_shadow(joints)
-    floor = np.column_stack([below.means, below.opacities]).astype(np.float32)
-    return Posing(rest, world, turns, floor)
+    return posings_of([(avatar, rest, pose, np.zeros(3) if shift is None else shift)])[0]
+
+
+def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Posing]:
+    """The same of many at once, to the bit: avatar, itself at rest, pose and shift of each.
+
+    Raises:
+        DataError: a pose has another number of joints, or is not finite.
+    """
+    if not wanted:
+        return []
+    joints = np.stack([avatar.joints for avatar, *_ in wanted], axis=1)
+    local = rotations_of(np.stack([check_pose(pose) for _, _, pose, _ in wanted], axis=1))
+    transforms, placed = compose_joints(joints, local, np.stack([shift for *_, shift in wanted]))
+    world = np.einsum("ab,jnbc->njac", TO_WORLD, transforms)
+    turns = quaternion_from_rotation(world[..., :3]).reshape(len(wanted), -1, 4)
+    floors = shadow_places(np.swapaxes(placed, 0, 1))
+    return [
+        Posing(rest, *what)
+        for (_, rest, _, _), *what in zip(wanted, world, turns, floors, strict=True)
+    ]
 
 
 @dataclass(eq=False)
@@ -99,7 +128,6 @@ class _Held:
     slot: int
     size: int
     rest: Hashable
-    used: int  # number of the call that asked for it last
 
 
 class PosedBankDevice:
@@ -131,6 +159,7 @@ class PosedBankDevice:
         self._held: dict[Hashable, _Held] = {}
         self._rests: dict[Hashable, tuple[RestDevice, int]] = {}  # and how many clouds it has
         self._bytes = self._call = 0
+        self._used = np.zeros(0, np.int64)  # number of the call that asked for each slot last
         self._finder = SlotFinder(renderer.device)
         self._stale = True  # whether the finder does not know what is held
         weakref.finalize(self, _let_go, renderer, self._held).atexit = False
@@ -179,7 +208,7 @@ class PosedBankDevice:
                 self.misses += 1
                 lacking[key] = pose
             if held is not None:
-                held.used = self._call
+                self._used[held.slot] = self._call
         self._fill(lacking)
         return [self._held[key].slot for key, _ in wanted]
 
@@ -218,54 +247,62 @@ class PosedBankDevice:
     def _look(self, codes: DeviceArray, chosen: DeviceArray) -> list[int]:
         if self._stale:
             slots = {k: held.slot for k, held in self._held.items() if isinstance(k, int)}
-            most = max((held.slot for held in self._held.values()), default=0) + 1
             self._take_stamps()
-            self._finder.set(slots, most)
+            self._finder.set(slots, max(len(self._used), 1))
             self._stale = False
         return self._finder.find(codes, chosen, self._call)
 
     def _take_stamps(self) -> None:
         """Learn from the device what was used when."""
         stamps = self._finder.stamps()
-        for held in self._held.values():
-            if held.slot < len(stamps):
-                held.used = max(held.used, int(stamps[held.slot]))
+        used = self._used[: len(stamps)]
+        np.maximum(used, stamps[: len(used)], out=used)
 
     def _fill(self, lacking: dict[Hashable, AvatarPose]) -> None:
         if not lacking:
             return
         self._take_stamps()
         sizes = {key: _size_of(pose.avatar) for key, pose in lacking.items()}
-        staying = sum(held.size for held in self._held.values() if held.used == self._call)
-        if staying + sum(sizes.values()) > self.budget:
+        wanted = sum(sizes.values())
+        if self._bytes + wanted > self.budget:
+            self._make_room(wanted)
+        for pose in lacking.values():
+            if pose.rest_key not in self._rests:
+                self._rests[pose.rest_key] = (self.renderer.bring_rest(rest_of(pose.avatar)), 0)
+        poses = list(lacking.values())
+        slots = self.renderer.pose_parts(
+            posings_of(
+                [
+                    (pose.avatar, self._rests[pose.rest_key][0], *turn)
+                    for pose, turn in zip(poses, _turn_all(poses), strict=True)
+                ]
+            )
+        )
+        self.launches += 1
+        self._stale = True
+        for (key, pose), slot in zip(lacking.items(), slots, strict=True):
+            self._held[key] = _Held(slot, sizes[key], pose.rest_key)
+            if slot >= len(self._used):
+                self._used = np.concatenate([self._used, np.zeros(slot + 1, np.int64)])
+            self._used[slot] = self._call
+            self._bytes += sizes[key]
+            rest = self._rests[pose.rest_key]
+            self._rests[pose.rest_key] = (rest[0], rest[1] + 1)
+
+    def _make_room(self, wanted: int) -> None:
+        """Drop what was asked for least recently, but nothing of this call."""
+        spare = [key for key, held in self._held.items() if self._used[held.slot] != self._call]
+        staying = self._bytes - sum(self._held[key].size for key in spare)
+        if staying + wanted > self.budget:
             raise ConfigError(
                 f"the people of one call need more than {self.budget:,} bytes",
                 where="PosedBankDevice",
                 remedy="give a larger budget, or draw people at coarser levels of detail",
             )
-        oldest = sorted(
-            (key for key, held in self._held.items() if held.used != self._call),
-            key=lambda key: self._held[key].used,
-            reverse=True,
-        )
-        while self._bytes + sum(sizes.values()) > self.budget:
-            self._drop(oldest.pop())
+        spare.sort(key=lambda key: self._used[self._held[key].slot], reverse=True)
+        while self._bytes + wanted > self.budget:
+            self._drop(spare.pop())
             self.evicted += 1
-        postures = []
-        for pose in lacking.values():
-            rest = self._rests.get(pose.rest_key)
-            if rest is None:
-                rest = (self.renderer.bring_rest(rest_of(pose.avatar)), 0)
-                self._rests[pose.rest_key] = rest
-            postures.append(posing_of(pose.avatar, rest[0], *pose.turn()))
-        slots = self.renderer.pose_parts(postures)
-        self.launches += 1
-        self._stale = True
-        for (key, pose), slot in zip(lacking.items(), slots, strict=True):
-            self._held[key] = _Held(slot, sizes[key], pose.rest_key, self._call)
-            self._bytes += sizes[key]
-            rest = self._rests[pose.rest_key]
-            self._rests[pose.rest_key] = (rest[0], rest[1] + 1)
 
     def _drop(self, key: Hashable) -> None:
         gone = self._held.pop(key)
@@ -274,6 +311,14 @@ class PosedBankDevice:
         rest, clouds = self._rests.pop(gone.rest)
         if clouds > 1:
             self._rests[gone.rest] = (rest, clouds - 1)
+
+
+def _turn_all(poses: Sequence[AvatarPose]) -> list[tuple[F64, F64]]:
+    """Pose and shift of each."""
+    first = poses[0]
+    if isinstance(first, PosesTogether) and all(type(pose) is type(first) for pose in poses):
+        return first.turn_all(poses)
+    return [pose.turn() for pose in poses]
 
 
 def _let_go(renderer: HoldsParts, held: dict[Hashable, _Held]) -> None:

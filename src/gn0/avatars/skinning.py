@@ -109,21 +109,24 @@ def pose_joints(
 def compose_joints(
     joints: NDArray[np.floating], local: F64, shift: NDArray[np.floating] | None = None
 ) -> tuple[F64, F64]:
-    """As `pose_joints`, of rotation matrices in each parent's axes [55, 3, 3]."""
+    """As `pose_joints`, of rotation matrices in each parent's axes [55, 3, 3].
+
+    Of many poses at once, the axis of poses comes second: joints [55, P, 3], matrices
+    [55, P, 3, 3], shifts [P, 3]; transforms and joints likewise, to the bit those of each alone.
+    """
     rest = np.asarray(joints, np.float64)
-    turned, placed = np.empty((JOINT_COUNT, 3, 3)), np.empty((JOINT_COUNT, 3))
+    turned, placed = np.empty(local.shape), np.empty(local.shape[:-1])
     for k, parent in enumerate(PARENTS):
         if parent < 0:
             turned[k], placed[k] = local[k], rest[k]
         else:
             turned[k] = turned[parent] @ local[k]
-            placed[k] = placed[parent] + turned[parent] @ (rest[k] - rest[parent])
+            away = (rest[k] - rest[parent])[..., None]
+            placed[k] = placed[parent] + (turned[parent] @ away)[..., 0]
     if shift is not None:
         placed = placed + np.asarray(shift, np.float64)
-    transforms = np.concatenate(
-        [turned, (placed - np.einsum("kab,kb->ka", turned, rest))[:, :, None]], axis=2
-    )
-    return transforms, placed
+    moved = placed - np.einsum("k...ab,k...b->k...a", turned, rest)
+    return np.concatenate([turned, moved[..., None]], axis=-1), placed
 
 
 def skin_points(

@@ -10,6 +10,7 @@ feet stand.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from gn0.avatars.motion.library import (
     LOOKS,
     PIVOTS,
     SETTLES,
+    ClipLibrary,
     look_class,
     speed_class,
     turn_head,
@@ -54,6 +56,7 @@ _PAUSE = 5.0  # s between gestures of who stands
 _NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at
 _STRAIGHT = look_class(0.0)
 _BY_ROW = ("walk", *PIVOTS, *SETTLES)
+_Read = tuple[str, float, float]  # a clip, where it is read, and its speed
 
 
 class Shown(NamedTuple):
@@ -202,6 +205,11 @@ class PoseShown:
         """Pose [55, 3] rad and shift [3] m."""
         return turn_shown(self.actor, self.shown)
 
+    @staticmethod
+    def turn_all(poses: Sequence[PoseShown]) -> list[tuple[F64, F64]]:
+        """The same of many, to the bit; what blends within one library is solved at once."""
+        return turn_all_shown([(one.actor, one.shown) for one in poses])
+
 
 def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
     """The posed cloud of a key, at a level of detail."""
@@ -210,17 +218,30 @@ def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
 
 def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
     """Pose [55, 3] rad and shift [3] m of an actor, as a key tells."""
-    library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
-    now = (shown.clip, _at(shown.clip, shown.frame), speed)
-    if shown.other:
-        before = (shown.other, _at(shown.other, shown.other_frame), speed)
-        share = float(ease(np.asarray(shown.quarter / _BLEND)))
-        pose, shift = library.blend_at(before, now, share, steps=True)
-    else:
-        pose, shift = library.pose_at(*now)
-    if shown.look != _STRAIGHT:
-        pose = turn_head(pose, math.radians(LOOKS[shown.look]))
-    return pose, shift
+    return turn_all_shown([(actor, shown)])[0]
+
+
+def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64]]:
+    """The same of many, to the bit; what blends within one library is solved at once."""
+    found: dict[int, tuple[F64, F64]] = {}
+    blends: dict[ClipLibrary, dict[int, tuple[_Read, _Read, float]]] = {}
+    for n, (actor, shown) in enumerate(wanted):
+        library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
+        now = (shown.clip, _at(shown.clip, shown.frame), speed)
+        if shown.other:
+            before = (shown.other, _at(shown.other, shown.other_frame), speed)
+            share = float(ease(np.asarray(shown.quarter / _BLEND)))
+            blends.setdefault(library, {})[n] = before, now, share
+        else:
+            found[n] = library.pose_at(*now)
+    for library, some in blends.items():
+        poses, shifts = library.blend_all(list(some.values()), steps=True)
+        found |= zip(some, zip(poses, shifts, strict=True), strict=True)
+    for n, (_, shown) in enumerate(wanted):
+        if shown.look != _STRAIGHT:
+            pose, shift = found[n]
+            found[n] = turn_head(pose, math.radians(LOOKS[shown.look])), shift
+    return [found[n] for n in range(len(wanted))]
 
 
 def _at(clip: str, frame: int) -> float:

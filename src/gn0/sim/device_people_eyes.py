@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 _NONE = 63  # no clip
 _BITS = (16, 2, 6, 12, 3, 3, 6, 9, 3)  # of a code, from its lowest; `shown.cu` has the same
 _BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
+_ASIDE, _HIGH = 1.2, 1.5  # m: what of a person may be beside it, and above or below an eye
 _OFFSETS = 97  # by how many ticks people's clips are apart
 
 
@@ -55,6 +56,9 @@ class PeopleEyesDevice:
         renderer: draws, and holds posed clouds.
         focal: of pictures [px], which decides levels of detail.
         bank: of named people, its folder or itself.
+        widest: tangent of the angle from the middle of a picture to its left or right edge, of
+            the widest; who is beside all pictures is not posed.
+        pitch: how far cameras look up or down [rad].
 
     Attributes:
         posed: the posed clouds.
@@ -69,6 +73,9 @@ class PeopleEyesDevice:
         renderer: Any,
         focal: float,
         bank: AvatarBank | Path | str | None = None,
+        *,
+        widest: float = math.inf,
+        pitch: float = 0.0,
     ) -> None:
         if not isinstance(renderer, HoldsParts) or not renderer.traits.device_views:  # type: ignore[attr-defined]
             raise ConfigError(
@@ -82,6 +89,11 @@ class PeopleEyesDevice:
         self._from = [0.0] + [
             GRAIN[level] * focal / REACH_PX[level] for level in range(1, len(GRAIN))
         ]
+        # depths before a camera that looks up or down grow with the height of what it sees
+        self._sides = (
+            widest,
+            _ASIDE * math.hypot(1.0, widest) + _HIGH * widest * abs(math.sin(pitch)),
+        )
         self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
         self._shown: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None
 
@@ -166,6 +178,8 @@ class PeopleEyesDevice:
             from_=levels,
             levels=np.int32(len(self._from)),
             turns=turned,
+            across=np.float64(self._sides[0]),
+            beside=np.float64(self._sides[1]),
             codes=codes,
             poses=poses,
             gains=gains,

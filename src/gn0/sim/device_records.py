@@ -141,6 +141,8 @@ class ShowPeople(NamedTuple):
     from_: DeviceArray
     levels: np.int32
     turns: DeviceArray
+    across: np.float64
+    beside: np.float64
     codes: DeviceArray
     poses: DeviceArray
     gains: DeviceArray

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gn0.device.device import Device
 from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import Episode
+from gn0.render.camera import Camera
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.sim.device_eyes import EyesDevice, draws_people
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
     from gn0.avatars.bank import AvatarBank
     from gn0.sim.device_people_eyes import PeopleEyesDevice
+
+_BLUR = 4.0  # px that a small splat reaches beyond its middle, and rounding
 
 
 def open_eyes(
@@ -77,10 +81,22 @@ def open_eyes(
     if peopled:
         from gn0.sim.device_people_eyes import PeopleEyesDevice  # bodies are needed here
 
-        people = PeopleEyesDevice(tasks.scenes, chosen, config.preset.rgb.fx, bank)
+        preset = config.preset
+        people = PeopleEyesDevice(
+            *(tasks.scenes, chosen, preset.rgb.fx, bank),
+            widest=max(_half_width(camera) for camera in (preset.rgb, preset.depth)),
+            pitch=math.radians(preset.pitch_degrees),
+        )
     return EyesDevice(
         config, tasks.scenes, tasks.agent, chosen, map_shape, visible_sets, motion, people
     )
+
+
+def _half_width(camera: Camera) -> float:
+    """Tangent of the angle to the further of a picture's sides, and a few pixels beyond."""
+    if camera.model != "pinhole":
+        return math.inf
+    return (max(camera.cx, camera.width - camera.cx) + _BLUR) / camera.fx
 
 
 def admit_people(

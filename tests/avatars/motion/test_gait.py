@@ -377,3 +377,17 @@ def test_motions_are_played_at_a_rate() -> None:
     assert len(play_motion(library.motion("wave"), 30.0, 1.0)) == 31
     with pytest.raises(DataError, match="one frame"):
         play_motion(library.motion("wave"), 5.0, 0.1)
+
+
+@pytest.mark.parametrize("steps", [False, True])
+def test_blends_are_the_same_bits_together_and_alone(steps: bool) -> None:
+    library = ClipLibrary(measure_build(STANDING_JOINTS))
+    blends = [
+        (("walk", 0.3, 1.0), ("idle_1", 0.0, 0.0), 0.25),
+        (("pivot_left", 0.4, 0.0), ("walk", 0.7, 1.3), 0.6),
+        (("idle_2", 1.1, 0.0), ("wave", 0.4, 0.0), 0.9),
+    ]
+    poses, shifts = library.blend_all(blends, steps=steps)
+    for pose, shift, blend in zip(poses, shifts, blends, strict=True):
+        alone = library.blend_at(*blend, steps=steps)
+        assert np.array_equal(pose, alone[0]) and np.array_equal(shift, alone[1])

@@ -11,6 +11,7 @@ from gn0.device.host import DeviceHost
 from gn0.render.cuda.draw import STAGES, Drawer
 from gn0_figures.stages import time_stages
 from gn0_figures.tune import TuneCase, build_cases, list_tunings, main, name_tuning, time_case
+from gn0_figures.tune_people_drawn import TimedDrawer, time_kernels
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
@@ -55,3 +56,24 @@ def test_the_script_prints_a_line_a_case(
     assert len(lines) == 4
     taken = np.array(lines[3].split()[-10:-3], float)  # nothing is counted where lists have room
     assert np.delete(taken, 1).min() > 0
+
+
+def test_kernels_are_timed_one_by_one(case: TuneCase) -> None:
+    drawer = TimedDrawer(case.clouds[0].splats.device)
+    pictures = case.pictures(drawer)
+    taken = time_kernels(drawer, lambda turn: case.draw(drawer, pictures, turn), 1)
+    assert {"emit_entries", "scan_counts", "paint_tiles", "all"} <= set(taken)
+    assert 0 < taken["paint_tiles"] < taken["all"]
+
+
+@pytest.mark.slow
+def test_the_script_prints_what_people_cost(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    main(["--people"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].split()[-4:] == ["none", "unseen", "1", "8"]
+    rows = {line.split()[0]: [float(x) for x in line.split()[1:]] for line in lines[3:-1]}
+    assert rows["emit_entries"][0] > 0 and rows["emit_parts"][0] == 0 < rows["emit_parts"][3]
+    assert lines[-1].startswith("entries a view")

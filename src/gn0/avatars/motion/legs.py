@@ -7,6 +7,7 @@ bodies, floor at y = 0.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,6 +134,12 @@ class Plan:
     def rows(self, index: NDArray[np.integer] | slice) -> Plan:
         """Some frames of it."""
         return Plan(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def join_plans(plans: Sequence[Plan]) -> Plan:
+    """The frames of one plan after those of another."""
+    names = Plan.__dataclass_fields__
+    return Plan(*(np.concatenate([getattr(plan, name) for plan in plans]) for name in names))
 
 
 def mix_plans(first: Plan, second: Plan, share: NDArray[np.floating] | float) -> Plan:

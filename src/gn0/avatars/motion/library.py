@@ -8,6 +8,7 @@ stands in both stays where it stands.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,7 +27,7 @@ from gn0.avatars.motion.gait import (
     shape_gait,
 )
 from gn0.avatars.motion.hands import BUSY, plan_busy, plan_carrying
-from gn0.avatars.motion.legs import Build, Plan, mix_plans, solve_plan
+from gn0.avatars.motion.legs import Build, Plan, join_plans, mix_plans, solve_plan
 from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.standing import (
     FPS,
@@ -261,13 +262,41 @@ class ClipLibrary:
         Raises:
             DataError: no clip of that name.
         """
-        plans = []
-        for name, at, speed in (first, second):
-            clip = self.clip(name, speed)
-            plans.append(_between(clip, at))
+        poses, shifts = self.blend_all([(first, second, share)], steps=steps)
+        return poses[0], shifts[0]
+
+    def blend_all(
+        self,
+        blends: Sequence[tuple[tuple[str, float, float], tuple[str, float, float], float]],
+        *,
+        steps: bool = False,
+    ) -> tuple[F64, F64]:
+        """Poses [T, 55, 3] rad and shifts [T, 3] m of blends; each is what `blend_at` is given.
+
+        Raises:
+            DataError: no clip of that name.
+        """
+        before = self._between([first for first, _, _ in blends])
+        after = self._between([second for _, second, _ in blends])
         mix = step_plans if steps else mix_plans
-        poses, shift = solve_plan(self.build, mix(plans[0], plans[1], share))
-        return poses[0], shift[0]
+        return solve_plan(
+            self.build, mix(before, after, np.array([share for _, _, share in blends]))
+        )
+
+    def _between(self, places: Sequence[tuple[str, float, float]]) -> Plan:
+        """Plans of clips between their frames, each at (name, at, speed)."""
+        low, high, shares = [], [], []
+        for name, at, speed in places:
+            clip = self.clip(name, speed)
+            count = len(clip.plan)
+            frame = at * count if clip.stride else at * clip.fps
+            frame = frame % count if clip.loop else min(max(frame, 0.0), count - 1.0)
+            row = math.floor(frame)
+            after = (row + 1) % count if clip.loop else min(row + 1, count - 1)
+            low.append(clip.plan.rows(np.array([row % count])))
+            high.append(clip.plan.rows(np.array([after])))
+            shares.append(frame - row)
+        return mix_plans(join_plans(low), join_plans(high), np.array(shares))
 
     def aligned_phase(self, phase: float, speed: float, other: float) -> float:
         """Phase of the walk at `other` m/s whose standing foot is where it is at `speed`, `phase`.
@@ -318,15 +347,3 @@ class ClipLibrary:
         return open_motion_of(
             self.build, clip.plan, clip.fps, name=title, category=clip.category, way=clip.way
         )
-
-
-def _between(clip: Clip, at: float) -> Plan:
-    """The plan [1] of a clip between its frames."""
-    count = len(clip.plan)
-    frame = at * count if clip.stride else at * clip.fps
-    frame = frame % count if clip.loop else min(max(frame, 0.0), count - 1.0)
-    low = math.floor(frame)
-    high = (low + 1) % count if clip.loop else min(low + 1, count - 1)
-    return mix_plans(
-        clip.plan.rows(np.array([low % count])), clip.plan.rows(np.array([high])), frame - low
-    )

@@ -305,18 +305,21 @@ def _turn_on(build: Build, style: Style, side: int, turned: F64, facing: F64, li
     )  # fmt: skip
 
 
-def step_plans(first: Plan, second: Plan, share: float) -> Plan:
-    """The `share` (0..1) of the way between plans [1], one foot after the other, and lifted."""
-    mixed = mix_plans(first, second, share)
-    away = np.linalg.norm((second.ankles - first.ankles)[0], axis=1)
-    early = 0 if bool(first.stands[0, 0]) < bool(first.stands[0, 1]) else 1
-    if first.stands[0, 0] == first.stands[0, 1]:
-        early = int(away[1] > away[0])
+def step_plans(first: Plan, second: Plan, share: NDArray[np.floating] | float) -> Plan:
+    """The `share` [T] (0..1) of the way between plans, one foot after the other, and lifted."""
+    part = np.broadcast_to(np.asarray(share, np.float64), (len(first),))
+    mixed = mix_plans(first, second, part)
+    first, second = (replace(one, upper=one.upper[:, :0]) for one in (first, second))  # feet alone
+    away = np.linalg.norm(second.ankles - first.ankles, axis=-1)
+    left, right = first.stands[:, 0], first.stands[:, 1]
+    early = np.where(left == right, away[:, 1] > away[:, 0], left)
     for k in (0, 1):
-        u = float(np.clip(2.0 * share - (k != early), 0.0, 1.0))
-        foot = mix_plans(first, second, float(ease(np.asarray(u))))
+        u = np.clip(2.0 * part - (k != early), 0.0, 1.0)
+        # powers one by one: those of arrays differ in their last bits
+        eased = np.array([float(ease(np.asarray(x))) for x in u.tolist()])
+        foot = mix_plans(first, second, eased)
         for name in ("ankles", "feet", "toes", "knees", "stands"):
             getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]
-        lift = _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * min(away[k] / 0.05, 1.0)
-        mixed.ankles[:, k, 1] += lift
+        middle = np.array([(2.0 * x - 1.0) ** 4 for x in u.tolist()])
+        mixed.ankles[:, k, 1] += _PIVOT_LIFT * (1.0 - middle) * np.minimum(away[:, k] / 0.05, 1.0)
     return mixed

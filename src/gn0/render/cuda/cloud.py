@@ -60,7 +60,8 @@ class CloudDevice:
         splats: float32 [rows, 16], see `gn0.render.cuda.pack`.
         order: uint32 [rows], a packed splat's index in its cloud.
         places: uint32 [size], the inverse: where a splat of the cloud lies among the packed
-            (anything for those left out). None when `ordered`: keys then hold packed numbers.
+            (anything for those left out). None when `ordered`, and of posed clouds: keys then hold
+            packed numbers.
         sh: halves as uint16 [rows, 16, 32 or 48]: coefficients 1, 2, ... of three colours,
             padded; None at degree 0.
         boxes: float32 [chunks, 7]: lowest and highest centre, largest reach [m], of each chunk.

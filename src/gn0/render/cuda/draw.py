@@ -55,6 +55,7 @@ from gn0.render.cuda.tables import (
     TARGET,
     VIEW,
     Shares,
+    ShareSizes,
     build_views,
     choose_shares,
     join_tables,
@@ -67,6 +68,7 @@ from gn0.render.renderer import Output
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
+_GROUPERS = 1024  # threads that group views
 _SAMPLED = 4096  # lists from which on they get room by a sample of the splats
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
@@ -359,7 +361,7 @@ class Drawer:
         room = room if room * all_tiles <= capacity else 0
         split = min(self.tuning.split, all_tiles) if room else 0
         aside = self._need("aside", 4 * split * room, np.uint64) if split else None
-        shares, (clouds, groups, members), group_count, view_table = self._tables(work, views, own)
+        sizes, (clouds, groups, members), group_count, view_table = self._tables(work, views, own)
         parts = None
         if work.instances is not None:
             parts = PartTables(view_table[count * _VIEW_WORDS :], self._held["parts"])
@@ -368,8 +370,7 @@ class Drawer:
             count=count,
             all_tiles=all_tiles,
             scan_blocks=blocks,
-            listing_blocks=shares[0],
-            each=shares[1],
+            sizes=sizes,
             capacity=capacity,
             room=room,
             stride=self.tuning.sample if self._may_sample(work, all_tiles) else 1,
@@ -405,7 +406,6 @@ class Drawer:
     ) -> None:
         """Launch all kernels of a batch."""
         kernels, whole = self._kernels_for(work), np.uint32(lists.all_tiles)
-        listing = "entries" if work.instances is None else "parts"
         zeros = lists.all_tiles + _CLASSES
         checked, label = 0, None
         if blend.labels is not None:
@@ -418,11 +418,11 @@ class Drawer:
         starts = None if lists.room else lists.starts
         needed = None if lists.room else lists.starts[lists.all_tiles :]
         stride, scan_blocks = np.uint32(lists.stride), lists.scan_blocks
-        counts, sums, tables = lists.counts, lists.sums, lists.listing
+        counts, sums = lists.counts, lists.sums
         if not lists.room:
             self._tell("count")
-            counting = CountEntries(tables, stride)
-            kernels[f"count_{listing}"].launch(lists.listing_blocks, CHUNK, counting)
+            for kind, blocks, tables in lists.listings:
+                kernels[f"count_{kind}"].launch(blocks, CHUNK, CountEntries(tables, stride))
             self._tell("scan")
             if scan_blocks > 1:
                 adding = SumCounts(counts, whole, stride, starts=None, sums=sums, classes=None)
@@ -430,10 +430,10 @@ class Drawer:
             placing = PlaceLists(counts, whole, stride, sums, lists.starts)
             kernels["place_lists"].launch(scan_blocks, 256, placing)
         self._tell("emit")
-        emitting = EmitEntries(
-            tables, needed, lists.entries, np.uint64(lists.capacity), np.uint32(lists.room)
-        )
-        kernels[f"emit_{listing}"].launch(lists.listing_blocks, CHUNK, emitting)
+        capacity, room = np.uint64(lists.capacity), np.uint32(lists.room)
+        for kind, blocks, tables in lists.listings:
+            emitting = EmitEntries(tables, needed, lists.entries, capacity, room)
+            kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
         self._tell("scan")
         if scan_blocks > 1:
             adding = SumCounts(counts, whole, np.uint32(0), starts, sums, lists.classes)
@@ -450,7 +450,7 @@ class Drawer:
 
     def _tables(
         self, work: Work, views: slice, own: bool
-    ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
+    ) -> tuple[ShareSizes, list[DeviceArray], int, DeviceArray]:
         """Listing blocks and chunks of each; clouds, groups, members; number of groups; views."""
         if isinstance(work, WorkDevice):
             return self._tables_there(work, views, own)
@@ -482,7 +482,7 @@ class Drawer:
 
     def _tables_there(
         self, work: WorkDevice, views: slice, own: bool
-    ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
+    ) -> tuple[ShareSizes, list[DeviceArray], int, DeviceArray]:
         """The same of views that the host does not know: room for what the device will write."""
         count, known = views.stop - views.start, len(work.table)
         many = 0 if work.instances is None else len(work.instances)
@@ -520,7 +520,7 @@ class Drawer:
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
             groups = lists.to_group_views(every, known, shown)
-            self._kernels["group_views"].launch(1, 256, groups)
+            self._kernels["group_views"].launch(1, _GROUPERS, groups)
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
         """Let the device write the views of instances behind the others."""

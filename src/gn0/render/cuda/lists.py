@@ -24,6 +24,7 @@ from gn0.render.cuda.records import (
     WriteParts,
     WriteViews,
 )
+from gn0.render.cuda.tables import GROUP, ShareSizes
 from gn0.render.cuda.work import WorkDevice
 from gn0.render.renderer import VIEW_TOLERANCE
 
@@ -36,7 +37,7 @@ class Lists:
         first, count: views of the call that it draws.
         all_tiles: lists.
         scan_blocks: of the scan.
-        listing_blocks, each: blocks that list, and the chunks that one of them lists.
+        sizes: blocks that list, and the chunks that one of them lists.
         capacity: entries that all lists together can hold.
         room: entries that each can hold; 0 where they are counted first.
         stride: then, one splat of so many is counted.
@@ -55,8 +56,7 @@ class Lists:
     count: int
     all_tiles: int
     scan_blocks: int
-    listing_blocks: int
-    each: int
+    sizes: ShareSizes
     capacity: int
     room: int
     stride: int
@@ -124,9 +124,27 @@ class Lists:
             tiles_x=self.tiles_x,
             tiles=self.tiles,
             flags=self.flags,
-            each=np.uint32(self.each),
+            each=np.uint32(self.sizes.each),
             counts=self.counts,
         )
+
+    @property
+    def listings(self) -> list[tuple[str, int, ListingTables]]:
+        """Which kernels list splats, in how many blocks, and what they read.
+
+        Scenes beside instances are listed by the kernels that list scenes alone: these are
+        quicker, and the entries are the same.
+        """
+        if self.parts is None:
+            return [("entries", self.sizes.blocks, self.listing)]
+        first, many = self.sizes.first_part, self.sizes.of_parts
+        scenes = self.listing._replace(group_count=np.uint32(first))
+        instances = self.listing._replace(
+            groups=self.groups[first * (GROUP.itemsize // 4) :],
+            group_count=np.uint32(self.group_count - first),
+        )
+        both = [("entries", self.sizes.blocks - many, scenes), ("parts", many, instances)]
+        return [one for one in both if one[1]]
 
     def holds(self, needed: int, longest: int) -> bool:
         """Whether lists that need room for so many entries, the longest for so many, had it."""
@@ -172,7 +190,7 @@ class Lists:
             clouds=self.clouds,
             count_=np.uint32(count),
             cloud_count=np.uint32(known),
-            each=np.uint32(self.each),
+            each=np.uint32(self.sizes.each),
             counts=shown,
             groups=self.groups,
             members=self.members,

@@ -23,7 +23,7 @@ from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
 from gn0.render.cuda.cloud import CloudDevice, CloudLabels
 from gn0.render.cuda.records import FindSlots, PoseSplats
-from gn0.render.cuda.tables import CHUNK, NOWHERE
+from gn0.render.cuda.tables import CHUNK
 from gn0.render.instance import PART_SPLATS_MAX
 from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
 
@@ -33,6 +33,7 @@ _MIDDLE = (0.0, 0.0, 1.0)  # m
 _STEPS = 2**20 - 1
 _SLACK = 1e-4  # m: rounding
 _JOINTS, _OF_JOINT, _INFLUENCES = 55, 16, 4
+_MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
 _ON_FLOOR, _PADDING = -2.0, -1.0  # instead of extents
 _POSING = np.dtype(
     [
@@ -88,7 +89,7 @@ class RestDevice:
     Attributes:
         skin: float32 [rows, 16] centre, normal, turn, weights, joints (bytes).
         rest: float32 [rows, 8] scales, log opacity, colours (halves), extent.
-        order, places: as of a `CloudDevice`.
+        order: as of a `CloudDevice`.
         size, alive, lying: splats, those that can show, and those of them that lie on the floor.
         reach: how far from each joint what hangs on it is (-1: nothing does), and its place at
             rest [55, 4] m.
@@ -99,7 +100,6 @@ class RestDevice:
     skin: DeviceArray
     rest: DeviceArray
     order: DeviceArray
-    places: DeviceArray
     size: int
     alive: int
     lying: int
@@ -115,7 +115,7 @@ class RestDevice:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return sum(a.nbytes for a in (self.skin, self.rest, self.order, self.places))
+        return sum(a.nbytes for a in (self.skin, self.rest, self.order))
 
 
 class Posing(NamedTuple):
@@ -154,8 +154,6 @@ def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
     index = np.concatenate([shown[morton_order(cloud.points[shown])], np.arange(body, count)])
     alive = len(index)
     rows = -(-alive // CHUNK) * CHUNK
-    places = np.full(count, NOWHERE, np.uint32)
-    places[index] = np.arange(alive, dtype=np.uint32)
     order = np.zeros(rows, np.uint32)
     order[:alive] = index
     skin, rest = np.zeros((rows, 16), np.float32), np.zeros((rows, 8), np.float32)
@@ -183,7 +181,6 @@ def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
         skin=device.upload(skin),
         rest=device.upload(rest),
         order=device.upload(order),
-        places=device.upload(places),
         size=count,
         alive=alive,
         lying=cloud.lying,
@@ -202,17 +199,14 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
     """
     if not wanted:
         return []
-    joints = np.zeros((len(wanted), _JOINTS, _OF_JOINT), np.float32)
-    floors = np.zeros((sum(one.rest.lying for one in wanted) + 1, 4), np.float32)
-    jobs, clouds, at, block = np.zeros(len(wanted), _POSING), [], 0, 0
-    capsules = [_find_capsule(one) for one in wanted]
+    joints = np.empty((len(wanted), _JOINTS, _OF_JOINT), np.float32)
+    joints[..., :12] = np.stack([one.transforms for one in wanted]).reshape(-1, _JOINTS, 12)
+    joints[..., 12:] = np.stack([one.turns for one in wanted])
+    floors = np.concatenate([*(one.floor for one in wanted), np.ones((1, 4))]).astype(np.float32)
+    floors[:, 3] = np.log(np.clip(floors[:, 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
+    jobs, clouds, block = np.zeros(len(wanted), _POSING), [], 0
+    capsules = _find_capsules(wanted)
     steps = [_choose_step(box, n) for n, box in enumerate(capsules)]
-    for n, one in enumerate(wanted):
-        joints[n, :, :12], joints[n, :, 12:] = one.transforms.reshape(_JOINTS, 12), one.turns
-        floors[at : at + one.rest.lying, :3] = one.floor[:, :3]
-        opacity = np.clip(one.floor[:, 3].astype(np.float64), ALPHA_MIN / 2, 1.0)
-        floors[at : at + one.rest.lying, 3] = np.log(opacity)
-        at += one.rest.lying
     there, below = device.upload(joints), device.upload(floors)
     at = 0
     for n, (one, step) in enumerate(zip(wanted, steps, strict=True)):
@@ -231,7 +225,7 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
             CloudDevice(
                 splats=splats,
                 order=rest.order,
-                places=rest.places,
+                places=None,  # a look-up less for each splat that is drawn
                 sh=None,
                 boxes=boxes,
                 degree=0,
@@ -265,12 +259,7 @@ class SlotFinder:
     def set(self, slots: dict[int, int], most: int) -> None:
         """Say which code, above 0, is in which slot below `most`; stamps of before are lost."""
         self._places = 1 << max(2 * len(slots), 16).bit_length()
-        keys, found = np.zeros(self._places, np.uint64), np.full(self._places, -1, np.int32)
-        for code, slot in slots.items():
-            at = (code * 0x9E3779B97F4A7C15 >> 32) & 0xFFFFFFFF & (self._places - 1)
-            while keys[at]:
-                at = (at + 1) & (self._places - 1)
-            keys[at], found[at] = code, slot
+        keys, found = place_codes(slots, self._places)
         upload = self._device.upload
         self._held = upload(keys), upload(found), self._device.zeros(most, np.uint32)
 
@@ -298,19 +287,44 @@ class SlotFinder:
         return np.zeros(0, np.uint32) if self._held is None else self._held[2].numpy()
 
 
-def _find_capsule(one: Posing) -> F32:
-    """A box that holds all of a pose, and the largest reach of a splat [7]; without its splats.
+def place_codes(slots: dict[int, int], places: int) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
+    """A hash table of codes and their slots as `find_slots` reads it, of a power of two of places.
+
+    Each code lies in the first free place from its own on, and no place between is free.
+    """
+    codes = np.fromiter(slots.keys(), np.uint64, len(slots))
+    which = np.fromiter(slots.values(), np.int32, len(slots))
+    own = ((codes * np.uint64(_MIX)) >> np.uint64(32)).astype(np.int64) & (places - 1)
+    order = np.argsort(own, kind="stable")
+    rank = np.arange(len(order))
+    at = np.maximum.accumulate(own[order] - rank) + rank
+    inside = at < places
+    keys, found = np.zeros(places, np.uint64), np.full(places, -1, np.int32)
+    keys[at[inside]], found[at[inside]] = codes[order[inside]], which[order[inside]]
+    free = iter(np.flatnonzero(keys == 0).tolist())  # those beyond the end go on from the start
+    for n in order[~inside].tolist():
+        place = next(free)
+        keys[place], found[place] = codes[n], which[n]
+    return keys, found
+
+
+def _find_capsules(wanted: Sequence[Posing]) -> F32:
+    """Boxes that hold all of each pose and its largest reach of a splat [n, 7], without its splats.
 
     What hangs on joints is a mean of places none of which is further from where a joint goes than
     it was at rest.
     """
-    hangs = one.rest.reach[:, 0] >= 0
-    reach, at = one.rest.reach[hangs, :1], one.rest.reach[hangs, 1:]
-    placed = np.einsum("jab,jb->ja", one.transforms[hangs, :, :3], at) + one.transforms[hangs, :, 3]
-    corners = np.concatenate([placed - reach, placed + reach, one.floor[:, :3], [_MIDDLE]])
-    found = np.empty(7, np.float32)
-    found[:3], found[3:6] = corners.min(axis=0) - _SLACK, corners.max(axis=0) + _SLACK
-    found[6] = one.rest.widest
+    reach = np.stack([one.rest.reach for one in wanted])
+    transforms = np.stack([one.transforms for one in wanted])
+    away = np.where(reach[..., :1] < 0, -np.inf, reach[..., :1])  # where nothing hangs: no corner
+    placed = np.einsum("njab,njb->nja", transforms[..., :3], reach[..., 1:]) + transforms[..., 3]
+    below = np.concatenate([part for one in wanted for part in (one.floor[:, :3], [_MIDDLE])])
+    first = np.cumsum([0, *(len(one.floor) + 1 for one in wanted[:-1])])
+    low = np.minimum((placed - away).min(axis=1), np.minimum.reduceat(below, first))
+    high = np.maximum((placed + away).max(axis=1), np.maximum.reduceat(below, first))
+    found = np.empty((len(wanted), 7), np.float32)
+    found[:, :3], found[:, 3:6] = low - _SLACK, high + _SLACK
+    found[:, 6] = [one.rest.widest for one in wanted]
     return found
 
 

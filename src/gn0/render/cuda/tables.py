@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,23 @@ def build_view(camera: Camera) -> np.void:
     return view
 
 
+class ShareSizes(NamedTuple):
+    """How many blocks list.
+
+    Attributes:
+        blocks: of the listing kernels.
+        each: chunks that one of them lists.
+        of_parts: blocks that list instances, behind the others.
+        first_part: the first group of theirs, if all before are of scenes alone; else 0, and
+            there are no others.
+    """
+
+    blocks: int
+    each: int
+    of_parts: int = 0
+    first_part: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Shares:
     """Which block lists which chunk of which cloud for which views.
@@ -117,19 +135,17 @@ class Shares:
     Attributes:
         groups: [G] of views that show one cloud.
         members: uint32 [M] numbers of their views.
-        blocks: of the listing kernels.
-        each: chunks that one of them lists.
+        sizes: of what lists them.
     """
 
     groups: NDArray[np.void]
     members: NDArray[np.uint32]
-    blocks: int
-    each: int
+    sizes: ShareSizes
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """Blocks, and chunks of each."""
-        return self.blocks, self.each
+    def blocks(self) -> int:
+        """Of all listing kernels."""
+        return self.sizes.blocks
 
 
 def share_work(
@@ -178,7 +194,13 @@ def share_work(
     each = choose_chunks(int((chunks * rows).sum()), most_chunks, spread)
     blocks = -(-chunks // each) * rows
     table["first_block"] = np.cumsum(blocks) - blocks
-    return Shares(table, np.concatenate(members).astype(np.uint32), int(blocks.sum()), each)
+    of_tails, of_parts = (len(table) for table in tables[1:])
+    # keys of tails are others where there are instances: who lists these then lists all
+    first = 0 if of_tails else len(table) - of_parts
+    sizes = ShareSizes(int(blocks.sum()), each, int(blocks[first:].sum()), first)
+    if part_of is None:
+        sizes = sizes._replace(of_parts=0, first_part=0)
+    return Shares(table, np.concatenate(members).astype(np.uint32), sizes)
 
 
 def choose_chunks(rows: int, most: int, spread: int) -> int:
@@ -199,12 +221,12 @@ def most_blocks(
 
 def choose_shares(
     shown: Sequence[tuple[NDArray[np.integer], int]], views_a_block: int, most: int, spread: int
-) -> tuple[int, int]:
-    """Blocks that suffice, and chunks of each, for clouds and how many views choose among them."""
+) -> ShareSizes:
+    """Blocks that suffice for clouds of scenes, then of instances, and how many views choose."""
     rows = sum(most_blocks(chunks, views, views_a_block) for chunks, views in shown)
     each = choose_chunks(rows, most, spread)
-    blocks = sum(most_blocks(chunks, views, views_a_block, each) for chunks, views in shown)
-    return blocks, each
+    blocks = [most_blocks(chunks, views, views_a_block, each) for chunks, views in shown]
+    return ShareSizes(sum(blocks), each, sum(blocks[1:]), len(shown[0][0]))
 
 
 def join_tables(*tables: NDArray[np.generic]) -> tuple[NDArray[np.uint32], list[slice]]:

@@ -121,7 +121,7 @@ __device__ void find_gain(const Episode &e, double x, double y, float *gain) {
 // `from` [levels] are the distances [m] from which each level of detail is taken, `turns`
 // [PIVOT_ROWS + 1, 2] cosine and sine of the angle turned in each row of a pivot.
 KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const double *turns,
-                    u64 *codes, double *poses, float *gains) {
+                    double across, double beside, u64 *codes, double *poses, float *gains) {
   i64 k = (i64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k >= (i64)w.count * c.places) return;
   int i = (int)(k / c.places), p = (int)(k % c.places);
@@ -132,7 +132,9 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   const double *ahead = e.headings + w.turns[i] * 3;
   double2 eye = w.position[i];
   double dx = eye.x - q.x, dy = eye.y - q.y, square = dx * dx + dy * dy;
-  if ((q.x - eye.x) * ahead[1] + (q.y - eye.y) * ahead[2] < -BEHIND) return;
+  double before = -dx * ahead[1] - dy * ahead[2], side = dx * ahead[2] - dy * ahead[1];
+  if (before < -BEHIND) return;
+  if (fabs(side) > across * fmax(before, 0.0) + beside) return;  // no picture is so wide
   const Role &role = ((const Role *)e.roles)[p];
   Route r = route_of(e, p);
   int clip = CLIP_NONE, frame = 0, other = CLIP_NONE, other_frame = 0, quarter = BLEND;

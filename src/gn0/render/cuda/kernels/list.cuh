@@ -186,13 +186,13 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   }
 }
 
-// The last group that begins at or before this block.
-__device__ __forceinline__ u32 find_group(const Group *__restrict__ groups, u32 count) {
+// The last group that begins at or before this block, with `before` blocks before the first.
+__device__ __forceinline__ u32 find_group(const Group *__restrict__ groups, u32 count, u32 before) {
   u32 low = 0, high = count;
   while (high - low > 1) {
     u32 step = (high - low + WARP - 1) / WARP, at = low + lane_id() * step;
-    bool before = at < high && groups[at].first_block <= blockIdx.x;
-    low += (__popc(__ballot_sync(FULL, before)) - 1) * step;
+    bool begun = at < high && groups[at].first_block <= blockIdx.x + before;
+    low += (__popc(__ballot_sync(FULL, begun)) - 1) * step;
     high = min(low + step, high);
   }
   return low;
@@ -211,9 +211,11 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
                                             u32 tiles, u32 flags, u32 each, u32 stride, const Lists &to) {
   __shared__ ViewHeld held[VIEWS];
   __shared__ u32 seen_by[CHUNKS];
-  const Group g = groups[find_group(groups, group_count)];
+  // groups of instances may be given alone: their blocks lie behind those of the others
+  u32 before = INSTANCES ? groups->first_block : 0;
+  const Group g = groups[find_group(groups, group_count, before)];
   const Cloud &cloud = clouds[g.cloud];
-  u32 rows = (g.chunks + each - 1) / each, local = blockIdx.x - g.first_block;
+  u32 rows = (g.chunks + each - 1) / each, local = blockIdx.x + before - g.first_block;
   u32 first_chunk = local % rows * each, first = local / rows * VIEWS;
   u32 count = first < g.members ? min(g.members - first, (u32)VIEWS) : 0;
   if (!count) return;

@@ -66,19 +66,21 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
   views[v] = like;
 }
 
-// Groups [cloud_count] of the views that show each cloud, and their members; one block of 256. A
-// group may be empty. In what order a group lists its
-// members is the atomics' business, and cannot show.
-KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
-                    u32 cloud_count, u32 each, u32 *counts, Group *groups, u32 *members) {
-  __shared__ u64 held[256 / WARP];
-  for (u32 c = threadIdx.x; c < cloud_count; c += 256) counts[c] = 0;
+#define GROUPERS 1024  // threads that group views
+
+// Groups [cloud_count] of the views that show each cloud, and their members; one block. A group may
+// be empty. In what order a group lists its members is the atomics' business, and cannot show.
+KERNEL_BOUNDED(group_views, GROUPERS, 1)
+(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
+ u32 cloud_count, u32 each, u32 *counts, Group *groups, u32 *members) {
+  __shared__ u64 held[GROUPERS / WARP];
+  for (u32 c = threadIdx.x; c < cloud_count; c += GROUPERS) counts[c] = 0;
   __syncthreads();
-  for (u32 v = threadIdx.x; v < count; v += 256)
+  for (u32 v = threadIdx.x; v < count; v += GROUPERS)
     if (views[v].cloud != NOWHERE) atomicAdd(counts + views[v].cloud, 1u);
   __syncthreads();
   u64 done = 0;  // of the clouds before: members over blocks
-  for (u32 base = 0; base < cloud_count; base += 256) {
+  for (u32 base = 0; base < cloud_count; base += GROUPERS) {
     u32 c = base + threadIdx.x;
     u32 mine = c < cloud_count ? counts[c] : 0, chunks = c < cloud_count ? clouds[c].chunks : 0;
     u64 both = (u64)mine << 32 | (u64)((chunks + each - 1) / each) * ((mine + VIEWS - 1) / VIEWS), sum = both;
@@ -89,7 +91,7 @@ KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ cl
     if (lane_id() == WARP - 1) held[threadIdx.x / WARP] = sum;
     __syncthreads();
     u64 before = done + sum - both;
-    for (u32 w = 0; w < 256 / WARP; w++) {
+    for (u32 w = 0; w < GROUPERS / WARP; w++) {
       if (w < threadIdx.x / WARP) before += held[w];
       done += held[w];
     }
@@ -100,6 +102,6 @@ KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ cl
     }
     __syncthreads();
   }
-  for (u32 v = threadIdx.x; v < count; v += 256)
+  for (u32 v = threadIdx.x; v < count; v += GROUPERS)
     if (views[v].cloud != NOWHERE) members[atomicAdd(counts + views[v].cloud, 1u)] = v;
 }

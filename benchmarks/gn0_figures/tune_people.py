@@ -22,13 +22,21 @@ _REPEAT = 15
 
 class _TimedKernel:
     def __init__(self, kernel: Kernel, name: str, drawer: TimedDrawer) -> None:
-        self._kernel, self._name, self._drawer = kernel, name, drawer
+        self.name = name
+        self._kernel, self._drawer = kernel, drawer
 
-    def launch(self, *given: Any) -> None:
+    def launch(
+        self,
+        grid: int | tuple[int, ...],
+        block: int | tuple[int, ...],
+        record: Any,
+        *,
+        shared: int = 0,
+    ) -> None:
         """Between two events."""
         begin = self._drawer.device.event()
-        self._kernel.launch(*given)
-        self._drawer.marks.append((self._name, begin, self._drawer.device.event()))
+        self._kernel.launch(grid, block, record, shared=shared)
+        self._drawer.marks.append((self.name, begin, self._drawer.device.event()))
 
 
 class TimedDrawer(Drawer):

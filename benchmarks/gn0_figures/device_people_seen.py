@@ -95,7 +95,8 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
         share = float(np.median(none / np.array(times[name])))
         last, first = seen[name][-1], seen[name][-1 - rounds]
         hits, misses = last[0] - first[0], last[1] - first[1]
-        posed = envs[name]._eyes.people.posed
+        eyes: Any = envs[name]._eyes
+        posed = eyes.people.posed
         detail = (
             f"{settings}; {steps * count / median(times[name]) * 1e3:,.0f} steps a second, "
             f"{taken[name] / 2**20:.0f} MB of the device more, of them people "

@@ -16,6 +16,7 @@ from gn0.avatars.light import find_probes
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
 from gn0.avatars.motion.play import play_motion
+from gn0.avatars.posed_bank import NEARER
 from gn0.avatars.poses import standing_pose
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.render import Camera, Instance, RendererCpu
@@ -121,7 +122,7 @@ class Lit:
             at = np.eye(4)
             at[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
             at[:2, 3] = x, y
-            parts.append(Instance(f"p{k}", at, self.probes.gain_at(x, y)))
+            parts.append(Instance(f"p{k}", at, self.probes.gain_at(x, y), NEARER))
         views = view_from_pose(*eye, yaw)[None]
         drawn = self.renderer.render(VIEW, views, parts=parts, outputs=("rgb",)).rgb
         assert drawn is not None

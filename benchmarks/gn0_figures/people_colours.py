@@ -9,6 +9,7 @@ import numpy as np
 
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.light import LightProbes, find_probes
+from gn0.avatars.posed_bank import NEARER
 from gn0.avatars.poses import standing_pose
 from gn0.geometry import view_from_pose
 from gn0.maps.grid import OccupancyGrid
@@ -92,7 +93,7 @@ def read_garments(rooms: Sequence[ColourRoom], avatar: Avatar, number: int) -> N
         c, s = np.cos(yaw), np.sin(yaw)
         pose[:2, :2], pose[:2, 3] = ((c, -s), (s, c)), (x, y)
         view = view_from_pose(ex, ey, EYE, float(np.arctan2(y - ey, x - ex)))
-        instance = Instance("somebody", pose, room.probes.gain_at(x, y))
+        instance = Instance("somebody", pose, room.probes.gain_at(x, y), NEARER)
         person = PlacedPerson(instance, cloud, avatar.record)
         (seen,) = read_people(room.renderer, _CAMERA, Moment(view, [person]))
         for part in ("top", "bottom"):

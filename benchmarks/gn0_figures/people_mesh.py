@@ -13,6 +13,7 @@ from gn0.avatars.identity import draw_people
 from gn0.avatars.light import find_probes
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
+from gn0.avatars.posed_bank import NEARER
 from gn0.geometry import F64, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
@@ -79,7 +80,8 @@ def measure_mesh(ctx: FigureContext) -> list[FigureRow]:
                 renderer.name_cloud("person", level.pose(pose, shift, shadow=False))
                 view = view_from_pose(x, y, EYE, yaw)[None]
                 room = renderer.render(camera, view)
-                drawn = renderer.render(camera, view, parts=[Instance("person", place, gain)])
+                instance = Instance("person", place, gain, NEARER)
+                drawn = renderer.render(camera, view, parts=[instance])
                 alone = RendererCpu(level.pose(pose, shift, shadow=False)).render(
                     camera, view @ place
                 )

@@ -12,6 +12,7 @@ from gn0.avatars.avatar import Avatar
 from gn0.avatars.light import LightProbes, find_probes
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
+from gn0.avatars.posed_bank import NEARER
 from gn0.avatars.poses import standing_pose
 from gn0.geometry import F64, view_from_pose
 from gn0.maps.navigation import NavigationMap
@@ -165,6 +166,6 @@ def show_meeting(
         c, s = np.cos(yaw), np.sin(yaw)
         stand[:2, :2], stand[:2, 3] = ((c, -s), (s, c)), (x, y)
         gain = place.probes.gain_at(x, y)
-        people.append(PlacedPerson(Instance(name, stand, gain), cloud, avatar.record))
+        people.append(PlacedPerson(Instance(name, stand, gain, NEARER), cloud, avatar.record))
     x, y, yaw = meeting.eye
     return Moment(view_from_pose(x, y, EYE, yaw), people)

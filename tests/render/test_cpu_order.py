@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gn0.render.cpu import spread_rows
 from gn0.render.cpu_bin import fill_tiles, scan_tiles, sort_tile
 from gn0.render.cpu_pack import CHUNK
-from gn0.render.cpu_project import DEPTH, RECORD
+from gn0.render.cpu_project import ORDER, RECORD
 
 
 @settings(max_examples=60, deadline=None)
@@ -23,11 +23,11 @@ from gn0.render.cpu_project import DEPTH, RECORD
 def test_a_list_is_sorted_by_depth_then_index(n: int, depths: int, low: float, seed: int) -> None:
     stream = np.random.default_rng(seed)
     records = np.zeros((n + 5, RECORD), np.float32)
-    records[:, DEPTH] = low + stream.integers(0, depths, n + 5) * np.float32(0.37)
+    records[:, ORDER] = low + stream.integers(0, depths, n + 5) * np.float32(0.37)
     indices = stream.permutation(10 * (n + 5))[: n + 5].astype(np.uint32)
     rows = stream.permutation(n + 5)[:n].astype(np.int32)
-    keys = np.ascontiguousarray(records[rows, DEPTH]).view(np.uint32)
-    order = np.lexsort((indices[rows], records[rows, DEPTH]))
+    keys = np.ascontiguousarray(records[rows, ORDER]).view(np.uint32)
+    order = np.lexsort((indices[rows], records[rows, ORDER]))
     want = rows[order]
     sort_tile(keys, rows, np.empty_like(keys), np.empty_like(rows), indices, records, False)
     assert (rows == want).all()
@@ -36,10 +36,10 @@ def test_a_list_is_sorted_by_depth_then_index(n: int, depths: int, low: float, s
 def test_lists_that_come_in_index_order_keep_it() -> None:
     stream = np.random.default_rng(1)
     records = np.zeros((500, RECORD), np.float32)
-    records[:, DEPTH] = stream.integers(1, 5, 500)
+    records[:, ORDER] = stream.integers(1, 5, 500)
     rows = np.arange(500, dtype=np.int32)
-    keys = np.ascontiguousarray(records[:, DEPTH]).view(np.uint32)
-    want = np.argsort(records[:, DEPTH], kind="stable")
+    keys = np.ascontiguousarray(records[:, ORDER]).view(np.uint32)
+    want = np.argsort(records[:, ORDER], kind="stable")
     spare = np.empty_like(keys), np.empty_like(rows)
     sort_tile(keys, rows, *spare, rows.astype(np.uint32), records, True)
     assert (rows == want).all()
@@ -91,11 +91,11 @@ def test_equal_depths_of_short_lists_are_in_index_order(n: int, depths: int) -> 
     stream = np.random.default_rng(n)
     for _ in range(4):
         records = np.zeros((n, RECORD), np.float32)
-        records[:, DEPTH] = 1.0 + stream.integers(0, depths, n)
+        records[:, ORDER] = 1.0 + stream.integers(0, depths, n)
         indices = stream.permutation(n).astype(np.uint32)
         rows = stream.permutation(n).astype(np.int32)
-        keys = np.ascontiguousarray(records[rows, DEPTH]).view(np.uint32)
-        want = rows[np.lexsort((indices[rows], records[rows, DEPTH]))]
+        keys = np.ascontiguousarray(records[rows, ORDER]).view(np.uint32)
+        want = rows[np.lexsort((indices[rows], records[rows, ORDER]))]
         sort_tile(keys, rows, np.empty_like(keys), np.empty_like(rows), indices, records, False)
         assert (rows == want).all()
 
@@ -103,14 +103,14 @@ def test_equal_depths_of_short_lists_are_in_index_order(n: int, depths: int) -> 
 @pytest.mark.parametrize("at", [0, 1, 17, 38])
 def test_one_tie_anywhere_in_a_long_list_is_in_index_order(at: int) -> None:
     records = np.zeros((40, RECORD), np.float32)
-    records[:, DEPTH] = 1.0 + np.arange(40)
-    records[at + 1, DEPTH] = records[at, DEPTH]
+    records[:, ORDER] = 1.0 + np.arange(40)
+    records[at + 1, ORDER] = records[at, ORDER]
     indices = np.arange(40, dtype=np.uint32)[::-1].copy()
     rows = np.random.default_rng(at).permutation(40).astype(np.int32)
     for order in (rows, rows[::-1]):
         mine = order.copy()
-        keys = np.ascontiguousarray(records[mine, DEPTH]).view(np.uint32)
-        want = mine[np.lexsort((indices[mine], records[mine, DEPTH]))]
+        keys = np.ascontiguousarray(records[mine, ORDER]).view(np.uint32)
+        want = mine[np.lexsort((indices[mine], records[mine, ORDER]))]
         sort_tile(keys, mine, np.empty_like(keys), np.empty_like(mine), indices, records, False)
         assert (mine == want).all()
 
@@ -121,12 +121,12 @@ def test_long_lists_are_sorted_by_depth_then_index(n: int, depths: int) -> None:
     """Their digits are wider; ties are few, in runs of hundreds, or all there is."""
     stream = np.random.default_rng(n)
     records = np.zeros((n, RECORD), np.float32)
-    records[:, DEPTH] = 0.05 + stream.integers(0, depths, n) * np.float32(0.013)
+    records[:, ORDER] = 0.05 + stream.integers(0, depths, n) * np.float32(0.013)
     indices = stream.permutation(n).astype(np.uint32)
     for rows in (stream.permutation(n).astype(np.int32), np.argsort(-indices.astype(np.int64))):
         mine = rows.astype(np.int32)
-        keys = np.ascontiguousarray(records[mine, DEPTH]).view(np.uint32)
-        want = mine[np.lexsort((indices[mine], records[mine, DEPTH]))]
+        keys = np.ascontiguousarray(records[mine, ORDER]).view(np.uint32)
+        want = mine[np.lexsort((indices[mine], records[mine, ORDER]))]
         sort_tile(keys, mine, np.empty_like(keys), np.empty_like(mine), indices, records, False)
         assert (mine == want).all()
-        assert (keys == records[mine, DEPTH].view(np.uint32)).all()
+        assert (keys == records[mine, ORDER].view(np.uint32)).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gn0.errors import RenderError
-from gn0.gaussians.cloud import join_clouds
+from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render import cpu_parts
 from gn0.render.camera import Camera
@@ -225,6 +225,56 @@ def test_wrong_parts_are_refused_before_a_picture_is_drawn() -> None:
         assert numba.get_num_threads() == before
 
 
+def test_a_shoe_shows_on_a_floor_of_large_splats() -> None:
+    """Whose middles are nearer to the camera; what floor and shoe are, and how deep, stays."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(1.0, 3.0, 0.15), np.arange(-1, 1, 0.15)))
+    count = len(x)
+    floor = GaussianCloud(
+        means=np.column_stack([x, y, 0 * x]).astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        scales=np.tile(np.array([0.1, 0.1, 0.002], np.float32), (count, 1)),
+        opacities=np.full(count, 0.99, np.float32),
+        sh=np.zeros((count, 1, 3), np.float32),
+    )
+    shoe = replace(ball_cloud(400, 5, radius=0.06), opacities=np.ones(400, np.float32))
+    renderer = RendererCpu(floor)
+    renderer.name_cloud("shoe", shoe)
+    camera, view = Camera.from_hfov(90, 70, 60), view_from_pose(0, 0, 1.25, 0, -0.55)
+    place = pose_at(2.0, 0.03, 0.06)
+    seen = [
+        renderer.render_who(camera, view, parts=[Instance("shoe", place, nearer=m)]).seen[0][0]
+        for m in (0.0, 0.06)
+    ]
+    assert seen[0].share < 0.8 and seen[1].share == 1.0
+    assert seen[0].whole == seen[1].whole
+    drawn = renderer.render(camera, view, parts=[Instance("shoe", place, nearer=0.06)])
+    alone = RendererCpu(floor.select(slice(0, 0)))
+    alone.name_cloud("shoe", shoe)
+    depth = alone.render(camera, view, parts=[Instance("shoe", place)]).depth
+    solid = np.isfinite(depth)
+    assert np.quantile(np.abs(drawn.depth[solid] - depth[solid]), 0.5) < 0.01
+
+
+def test_ties_in_long_lists_keep_the_order_that_nearer_gives() -> None:
+    """A floor seen from above, all at one depth; a part in its plane, sorted as if above it."""
+    floor, part = (plane_cloud(3000, seed) for seed in (1, 2))
+    camera, view = Camera.orthographic(16, 16, 0.02), view_from_above(0, 0, 3)
+    renderer = RendererCpu(floor)
+    renderer.name_cloud("part", part)
+    got = renderer.render(camera, view, parts=[Instance("part", np.eye(4), nearer=0.1)])
+    want = RendererCpu(join_clouds([part, floor])).render(camera, view)
+    assert got.rgb.tobytes() == want.rgb.tobytes()
+    last = renderer.render(camera, view, parts=[Instance("part", np.eye(4))])
+    assert psnr(got.rgb, last.rgb) < 30
+
+
+def plane_cloud(count: int, seed: int) -> GaussianCloud:
+    """Splats in one plane, in no order."""
+    cloud = random_cloud(count, seed)
+    means = cloud.means * np.array([0.1, 0.1, 0.0], np.float32)
+    return replace(cloud, means=means, opacities=cloud.opacities * np.float32(0.01) + 0.004)
+
+
 class _Broken(RendererCpu):
     """Draws instances, but not as it was told."""
 
@@ -268,6 +318,11 @@ class _IsLitFromNowhere(_Broken):
         return [Instance(p.cloud, p.pose, gain) for p, gain in zip(parts, gains, strict=True)]
 
 
+class _StaysAsFar(_Broken):
+    def change(self, parts):  # type: ignore[no-untyped-def]
+        return [Instance(p.cloud, p.pose, p.gain) for p in parts]
+
+
 class _IsLitInItsOwnFrame(_Broken):
     def change(self, parts):  # type: ignore[no-untyped-def]
         for part in parts:
@@ -286,6 +341,7 @@ class _IsLitInItsOwnFrame(_Broken):
         (_StaysGrey, "SH 0, a constant gain, from the front"),
         (_IsLitFromNowhere, "SH 0, a gain by normal, from the front"),
         (_IsLitInItsOwnFrame, "SH 0, a gain by normal, from the front"),
+        (_StaysAsFar, "nearer by more than a wall is away"),
     ],
 )
 def test_the_contract_names_what_is_broken(broken, rule: str) -> None:

@@ -218,6 +218,12 @@ def test_poses_composed_in_float32_are_rigid_enough() -> None:
     move_instance(random_cloud(5, 1), instance)
 
 
+@pytest.mark.parametrize("nearer", [-0.01, 1.01, np.nan, "near", None])
+def test_nearer_is_a_short_way(nearer) -> None:
+    with pytest.raises(RenderError, match=r"^instance 0: nearer is .* metres from 0 to 1"):
+        check_parts([Instance("x", np.eye(4), nearer=nearer)], 1)
+
+
 @pytest.mark.parametrize(
     "parts",
     [

@@ -31,6 +31,7 @@ from gn0.sim.motion import STILL, Moment, PartPath, PathMotion, take_moment
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
 from gn0.sim.vector import VectorEnv
+from gn0.storage import content_hash
 from gn0.testing.scenes import build_point_episodes, build_room_scene
 
 SPACING = 0.05
@@ -205,7 +206,7 @@ def test_agents_on_a_device_see_the_same(flat, tiny, kind) -> None:
     box = np.stack([place(2.0, 2.5, 0.0, yaw) for yaw in (0.0, 1.0)])
     two = PathMotion(
         {"ball": build_box((0.3, 0.5, 0.8), spacing=SPACING)},  # of the same name as the ball
-        [PartPath("ball", np.array([0.0, 1.0]), box, shade)] * 2,
+        [PartPath("ball", np.array([0.0, 1.0]), box, shade, nearer=0.5 * k) for k in range(2)],
     )
     scenes = [replace(flat, id=name) for name in ("left", "plain", "right")]
     motions = {"left": roll(0.0, 1.0), "right": two}
@@ -293,8 +294,11 @@ def test_a_moment_of_nothing_adds_no_byte_to_a_key() -> None:
         Instance("box", np.eye(4)),
         Instance("ball", place(0, 0, 1e-6)),
         Instance("ball", np.eye(4), np.ones(3, np.float32)),
+        Instance("ball", np.eye(4), nearer=0.1),
     ]
-    assert len({Moment(parts=(other,)).key for other in (one, *others)}) == 4
+    assert len({Moment(parts=(other,)).key for other in (one, *others)}) == 5
+    as_ever = content_hash("ball", np.eye(4).tobytes(), b"")  # what is not nearer adds nothing
+    assert Moment(parts=(one,)).key == bytes.fromhex(as_ever)
     assert Moment(parts=(one, others[0])).key != Moment(parts=(others[0], one)).key
 
 

@@ -33,9 +33,9 @@ _FACING, _LOOK = 1.0, 2.0  # grains that a turn of a radian, and a whole step of
 _NEAR = 24  # neighbours whose sizes are much the same
 _DENSE = 0.55  # of the distance of the sixth neighbour, which is 0.76 of the mean distance
 _APART = 1e3  # grains between parts: they never mix
-_SPREAD = (1.0, 1.3, 3.0, 4.8)  # of what is merged, relative to its moments
+_SPREAD = (1.0, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
 _HANG = 1.15  # of arms in the pose in which splats are merged [rad]
-_INWARD = (0.0, -0.001, -0.002, -0.001)  # how far what is merged lies below the surface [m]
+_INWARD = (0.0, -0.001, -0.002, -0.003)  # how far what is merged lies below the surface [m]
 _FLAT = 3e-4  # least thickness of a disc [m]
 _SWEEPS = 8  # of Jacobi's method: a 3 x 3 matrix is diagonal after five
 

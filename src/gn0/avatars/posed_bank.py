@@ -16,6 +16,7 @@ from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
 
 BUDGET = 512 * 2**20  # of posed clouds [bytes]
+NEARER = 0.06  # `Instance.nearer` of people [m], so that floors do not come before their shoes
 SPLAT_BYTES = 136  # of a splat: 44 that a pose changes, 92 as a renderer packs it again
 
 Pose = Callable[[], GaussianCloud]

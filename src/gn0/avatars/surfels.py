@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.avatars.layer import PARTS, Fitting, Layer, smooth_normals
+from gn0.avatars.rims import find_rim, keep_from_rim
 from gn0.avatars.sampling import SheetPoints, spread_points
 from gn0.avatars.skinning import SkinWeights, pack_weights, skin_points
 from gn0.geometry import F32, F64, quaternion_from_rotation, rotation_from_quaternion
@@ -35,8 +36,11 @@ _LIFT = 3e-4  # [m]
 _OUT = 0.008  # how far what belongs under a sheet may stick out of it [m]
 _OPEN_RAYS, _OPEN_REACH = 24, 0.45  # of self-shadow [m]
 _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of it
-# discs are seen half a pixel beyond where they end, so that they lie a little under the surface
-_INSET, _INSET_MOST = 0.65, 0.3  # in their standard deviations, and of the thickness of a part
+# discs are seen half a pixel beyond where they end, so that they lie under the surface
+_INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thickness of a part
+_SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
+_HEMMED = ("hat", "top", "bottom", "socks", "shoes", "scarf")  # what ends where others go on
+_HEM = 1.6  # how far discs stay from where those end, in their standard deviations
 _END = 1.5  # standard deviations from its middle where a strand ends
 
 
@@ -306,12 +310,17 @@ def _lay_discs(
     layer = dressed.layers[number]
     assert sheet.cell is not None
     along, wide = disc_axes(normal, sheet.cell)
-    inset = _INSET * np.sqrt(wide[:, 0] * wide[:, 1]) * (layer.part != "eyes")
+    deep = {"eyes": 0.0, "skin": _SKIN_INSET}.get(layer.part, _INSET)
+    inset = deep * np.sqrt(wide[:, 0] * wide[:, 1])
     inset = np.minimum(inset, _INSET_MOST * dressed.depth(point, normal, number))
+    within = point
+    if layer.part in _HEMMED:
+        rim = find_rim(layer, dressed.posed[number])
+        within = keep_from_rim(point, normal, rim, _HEM * np.sqrt(wide[:, 0] * wide[:, 1]))
     return _Cover(
         sheet=sheet,
         surface=point,
-        points=point - inset[:, None] * normal,
+        points=within - inset[:, None] * normal,
         normals=normal,
         along=along,
         sizes=np.column_stack([wide, np.full(len(point), THICKNESS)]),

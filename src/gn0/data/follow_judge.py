@@ -13,6 +13,7 @@ import numpy as np
 
 from gn0.avatars.light import LightProbes, find_probes
 from gn0.avatars.likeness import Sight
+from gn0.avatars.posed_bank import NEARER
 from gn0.geometry import view_from_pose
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
@@ -114,8 +115,7 @@ class FollowJudge:
             name = f"judged {row} {simulator.steps}"
             renderer.name_cloud(name, cloud)
             gain = self._probes.gain_at(*simulator.company.places[row].tolist())
-            people.append(
-                PlacedPerson(Instance(name, pose, gain=gain), cloud, actor.levels[0].record)
-            )
+            instance = Instance(name, pose, gain, NEARER)
+            people.append(PlacedPerson(instance, cloud, actor.levels[0].record))
         view = view_from_pose(x, y, episode.agent.camera_height, yaw)
         return Moment(np.asarray(view, np.float64), people)

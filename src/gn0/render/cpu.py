@@ -276,7 +276,7 @@ class RendererCpu:
         marks = [time.perf_counter()]
         drawn = [_Drawn(cloud, first, view, ortho) for cloud, first in clouds]
         for part in placed:
-            seen = view_parameters(camera, matrix @ part.pose)
+            seen = view_parameters(camera, matrix @ part.pose, part.nearer)
             found = _Drawn(part.cloud, part.first, seen, ortho, part.gain, part.normals)
             if len(found.chunks):
                 drawn.append(found)
@@ -404,7 +404,7 @@ def _threads(count: int) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-def view_parameters(camera: Camera, matrix: F64) -> F32:
+def view_parameters(camera: Camera, matrix: F64, nearer: float = 0.0) -> F32:
     """What the kernels need of a view, float32 (fields named in `cpu_project`)."""
     view = np.zeros(project.VIEW_FIELDS, np.float32)
     rotation = matrix[:3, :3]
@@ -422,5 +422,5 @@ def view_parameters(camera: Camera, matrix: F64) -> F32:
         view[18 + 2 * axis], view[19 + 2 * axis] = positive, negative
         slope = max(abs(positive), abs(negative)) if camera.model == "pinhole" else 0.0
         view[22 + axis] = math.sqrt(1.0 + slope * slope)
-    view[24:26] = size
+    view[24:26], view[project.NEARER] = size, nearer
     return view

@@ -11,7 +11,7 @@ import numpy as np
 
 from gn0.jit import njit, prange
 from gn0.render.cpu_pack import CHUNK
-from gn0.render.cpu_project import DEPTH
+from gn0.render.cpu_project import ORDER
 
 BLOCKS = 16  # blocks a cloud: enough for any core count in use, few enough to scan
 _DIGIT, _DIGIT_LONG, _DIGIT_LONGEST = 9, 12, 13  # most bits a radix pass, by the list's length
@@ -89,7 +89,7 @@ def sort_tile(keys, rows, spare_keys, spare_rows, indices, records, ordered):  #
             keys[i] = indices[rows[i]]
         _sort_radix(keys, rows, spare_keys, spare_rows, bins)
         for i in range(n):
-            keys[i] = np.float32(records[rows[i], DEPTH]).view(np.uint32)
+            keys[i] = np.float32(records[rows[i], ORDER]).view(np.uint32)
         _sort_radix(keys, rows, spare_keys, spare_rows, bins)
 
 

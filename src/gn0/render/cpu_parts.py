@@ -32,6 +32,7 @@ class PlacedPart(NamedTuple):
         normals: [C, 3 * CHUNK] packed as the cloud is, in the part's frame; read for a gain of
             [4, 3] alone.
         codes: what its splats belong to, by cloud index [N]; see `gn0.render.labels`.
+        nearer: see `Instance`.
     """
 
     cloud: PackedCloud
@@ -40,6 +41,7 @@ class PlacedPart(NamedTuple):
     gain: F32
     normals: F32
     codes: U32
+    nearer: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +129,10 @@ class NamedClouds:
             elif not gain[1:].any():
                 gain = gain[:1]
             placed.append(
-                PlacedPart(held.cloud, first, instance.pose, gain, held.normals, held.codes)
+                PlacedPart(
+                    *(held.cloud, first, instance.pose, gain, held.normals, held.codes),
+                    instance.nearer,
+                )
             )
             first += held.size
         return placed

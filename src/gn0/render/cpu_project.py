@@ -28,12 +28,13 @@ from gn0.render.renderer import ALPHA_MIN, DILATION, EXTENT_MAX
 
 F = np.float32
 RECORD = 16  # floats a projected splat: one cache line
-U, V, QX, QY, QK, LOGO, DEPTH, CR, CG, CB, X0, X1, Y0, Y1 = range(14)
+U, V, QX, QY, QK, LOGO, DEPTH, CR, CG, CB, X0, X1, Y0, Y1, ORDER = range(15)
 
 # fields of the view parameters, float32 [VIEW_FIELDS]
 ROTATION, CENTRE, FX, FY, CX, CY, NEAR, FAR = 0, 9, 12, 13, 14, 15, 16, 17
 LIM_XP, LIM_XN, LIM_YP, LIM_YN, GAIN_X, GAIN_Y, WIDTH, HEIGHT = 18, 19, 20, 21, 22, 23, 24, 25
-VIEW_FIELDS = 26
+NEARER = 26  # m by which splats are sorted as if nearer
+VIEW_FIELDS = 27
 
 _Z, _U, _V, _QX, _QY, _QK, _RX, _RY, _THIN, _LANES = range(10)  # fields of a chunk in flight
 
@@ -106,6 +107,7 @@ def _project_block(  # type: ignore[no-untyped-def]
     ex, ey, ez = view[CENTRE], view[CENTRE + 1], view[CENTRE + 2]
     fx, fy, cx, cy = view[FX], view[FY], view[CX], view[CY]
     near, far, width, height = view[NEAR], view[FAR], view[WIDTH], view[HEIGHT]
+    nearer = view[NEARER]
     lxp, lxn, lyp, lyn = view[LIM_XP], view[LIM_XN], view[LIM_YP], view[LIM_YN]
     pinhole = _ZERO if ortho else _ONE
     lit, turned = gain.shape[0] > 0, gain.shape[0] > 1
@@ -197,7 +199,8 @@ def _project_block(  # type: ignore[no-untyped-def]
                 lanes[_QY * CHUNK + k],
                 lanes[_QK * CHUNK + k],
             )
-            o[LOGO], o[DEPTH] = log_opacity, lanes[_Z * CHUNK + k]
+            away = lanes[_Z * CHUNK + k]
+            o[LOGO], o[DEPTH], o[ORDER] = log_opacity, away, max(away - nearer, away * _HALF)
             o[X0], o[X1], o[Y0], o[Y1] = x0, x1, y0, y1
             if degree == 0:
                 o[CR], o[CG], o[CB] = (
@@ -220,7 +223,7 @@ def _project_block(  # type: ignore[no-untyped-def]
             t = rects[row + n]
             t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
             t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
-            keys[row + n] = np.float32(lanes[_Z * CHUNK + k]).view(np.uint32)
+            keys[row + n] = np.float32(o[ORDER]).view(np.uint32)
             indices[row + n] = first_index + index
             n += 1
             for ty in range(t[2], t[3]):
@@ -237,8 +240,9 @@ def project_chunks(  # type: ignore[no-untyped-def]
     """Project the splats of `chunks`; chunk v fills rows from `row0 + v * CHUNK`.
 
     Fills `records` [rows, RECORD], `rects` [rows, 4] (first and past-the-last tile in x, in y),
-    `keys` [rows] (depth bits), `indices` [rows] (index in the cloud, plus `first_index`),
-    `counts[v]`, the rows filled, and `histogram` [blocks, tiles], entries of block b's chunks.
+    `keys` [rows] (bits of the depth that they are sorted by), `indices` [rows] (index in the
+    cloud, plus `first_index`), `counts[v]`, the rows filled, and `histogram` [blocks, tiles],
+    entries of block b's chunks.
     Colours are multiplied by `gain` (see `cpu_parts.PlacedPart`) at the splat's normal.
     """
     blocks = histogram.shape[0]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 PARTS_MAX = 32  # instances a view: 5 bits of a key
 PART_SPLATS_MAX = 2**22  # splats of an instance's cloud: 22 bits
+NEARER_MOST = 1.0  # m: more would show through walls
 _TOLERANCE = 1e-4  # how far a pose's rotation may be from orthonormal, as for a view
 
 
@@ -40,11 +41,15 @@ class Instance:
         gain: colour gain, float32: None, [3] or [4, 3] (rows: constant, then along world x, y, z).
             A splat of world normal n shows max(g0 + gx·n.x + gy·n.y + gz·n.z, 0) times its colour
             of never less than 0, channel by channel.
+        nearer: its splats are blended as if they were so much nearer to the camera [m], but by no
+            more than half of their depth; where they show and how deep they lie stays. Large
+            splats of a floor come before shoes else, whose middles are nearer to the camera.
     """
 
     cloud: str
     pose: F64
     gain: F32 | None = None
+    nearer: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", _frozen(self.pose, np.float64))
@@ -70,6 +75,8 @@ class Instance:
                 return f"gain has shape {self.gain.shape}, expected [3] or [4, 3]", "or give None"
             if not np.isfinite(self.gain).all():
                 return "gain is not finite", "1, 1, 1 changes nothing"
+        if not isinstance(self.nearer, int | float) or not 0.0 <= self.nearer <= NEARER_MOST:
+            return f"nearer is {brief(self.nearer)}", f"give metres from 0 to {NEARER_MOST:g}"
         return None
 
     @property
@@ -108,6 +115,7 @@ class PartsDevice:
         firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
             many each view has, those of one view after those of another.
         gains: float32 [I, 4, 3] as in `Instance`, or None.
+        nearer: float32 [I] as in `Instance`, or None.
     """
 
     names: Sequence[str] | None
@@ -115,6 +123,7 @@ class PartsDevice:
     chosen: DeviceArray
     firsts: DeviceArray | int
     gains: DeviceArray | None = None
+    nearer: DeviceArray | None = None
 
 
 Parts = Sequence[Instance] | Sequence[Sequence[Instance]]
@@ -245,8 +254,9 @@ def find_normals(cloud: GaussianCloud) -> F32:
 def move_instance(cloud: GaussianCloud, instance: Instance) -> GaussianCloud:
     """The cloud with every splat moved to where an instance stands, its gain in its colours.
 
-    What a renderer shows of the instance, it must show of this cloud handed in as `extra`. Slow:
-    for comparisons and for renderers of others.
+    What a renderer shows of the instance, it must show of this cloud handed in as `extra`, unless
+    it is to be `nearer`: moved splats are as far as they are. Slow: for comparisons and for
+    renderers of others.
 
     Raises:
         RenderError: the instance's pose or gain has no meaning.

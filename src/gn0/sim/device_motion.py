@@ -79,6 +79,7 @@ class MotionDevice:
         chosen = np.full((len(different), times, self._parts), NO_PART, np.int32)
         gains = np.zeros((*chosen.shape, 4, 3), np.float32)
         gains[..., 0, :] = 1.0
+        nearer = np.zeros(chosen.shape, np.float32)
         numbers = {name: n for n, name in enumerate(self.clouds)}
         lit = False
         for m, motion in enumerate(different):
@@ -87,6 +88,7 @@ class MotionDevice:
                     poses[m, t, p] = part.pose
                     chosen[m, t, p] = numbers[self._names[id(motion), part.cloud]]
                     gains[m, t, p] = part.whole_gain
+                    nearer[m, t, p] = part.nearer
                     lit = lit or part.gain is not None
         number = {id(motion): m for m, motion in enumerate(different)}
         found = [self._motions.get(scene_id) for scene_id in scene_ids]
@@ -96,6 +98,7 @@ class MotionDevice:
             poses=device.upload(poses),
             chosen=device.upload(chosen),
             gains=device.upload(gains) if lit else None,
+            nearer=device.upload(nearer) if nearer.any() else None,
             times=np.int32(times),
             parts=np.int32(self._parts),
         )
@@ -106,6 +109,7 @@ class MotionDevice:
             chosen=device.zeros(held, np.int32),
             firsts=self._parts,
             gains=device.zeros((held, 4, 3), np.float32) if lit else None,
+            nearer=device.zeros(held, np.float32) if nearer.any() else None,
         )
         self.steps = device.zeros(count, np.int32)  # that agents had taken when they last looked
 
@@ -116,8 +120,9 @@ class MotionDevice:
 
     @property
     def targets(self) -> MotionTargets:
-        """What `place_parts` fills: poses, numbers, gains, and the steps that it read."""
-        return MotionTargets(self._now.poses, self._now.chosen, self._now.gains, self.steps)
+        """What `place_parts` fills: all of `now`, and the steps that it read."""
+        now = self._now
+        return MotionTargets(now.poses, now.chosen, now.gains, now.nearer, self.steps)
 
     def parts_at(self, scene_id: str, step: int) -> tuple[Instance, ...]:
         """The same of one agent, for who knows its step."""

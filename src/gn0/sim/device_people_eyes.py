@@ -20,6 +20,7 @@ from gn0.avatars.light import find_probes
 from gn0.avatars.motion.library import LOOPS, PIVOTS, SETTLES, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
+from gn0.avatars.posed_bank import NEARER
 from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
 from gn0.device.device import DeviceArray
 from gn0.errors import ConfigError
@@ -95,7 +96,7 @@ class PeopleEyesDevice:
             _ASIDE * math.hypot(1.0, widest) + _HIGH * widest * abs(math.sin(pitch)),
         )
         self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
-        self._shown: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None
+        self._shown: tuple[DeviceArray, ...] | None = None
 
     def check(self, episode: Episode) -> None:
         """Refuse people whom nobody can play.
@@ -164,6 +165,7 @@ class PeopleEyesDevice:
                 device.zeros((count, 4, 4), np.float64),
                 device.zeros((count, 4, 3), np.float32),
                 device.zeros(count, np.int32),
+                device.upload(np.full(count, NEARER, np.float32)),
             )
         if self._tables is None:
             turns = [row * PIVOT / PIVOT_ROWS for row in range(PIVOT_ROWS + 1)]
@@ -171,7 +173,7 @@ class PeopleEyesDevice:
             table = [(math.cos(turn), math.sin(turn)) for turn in turns]
             self._tables = device.upload(np.array(self._from)), device.upload(np.array(table))
         levels, turned = self._tables
-        codes, poses, gains, chosen = self._shown
+        codes, poses, gains, chosen, nearer = self._shown
         showing = ShowPeople(
             w=simulator.world,
             c=company.crowd,
@@ -186,7 +188,7 @@ class PeopleEyesDevice:
         )
         company.kernels["show_people"].launch(blocks_of(count), THREADS, showing)
         self.posed.find(codes, chosen, self.read_code)
-        return PartsDevice(None, poses, chosen, each, gains)
+        return PartsDevice(None, poses, chosen, each, gains, nearer)
 
     def read_code(self, code: int) -> PoseShown:
         """Who is shown how by a code."""

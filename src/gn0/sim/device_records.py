@@ -214,6 +214,7 @@ class MotionTables(NamedTuple):
     poses: DeviceArray
     chosen: DeviceArray
     gains: DeviceArray | None
+    nearer: DeviceArray | None
     times: np.int32
     parts: np.int32
 
@@ -224,6 +225,7 @@ class MotionTargets(NamedTuple):
     out_poses: DeviceArray
     out_chosen: DeviceArray
     out_gains: DeviceArray | None
+    out_nearer: DeviceArray | None
     steps: DeviceArray
 
 

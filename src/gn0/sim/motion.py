@@ -58,6 +58,8 @@ class Moment:
         for part in self.parts:
             gain = b"" if part.gain is None else part.gain.tobytes()
             described += [part.cloud, part.pose.tobytes(), gain]
+            if part.nearer:
+                described.append(np.float64(part.nearer).tobytes())
         return bytes.fromhex(content_hash(*described))
 
 
@@ -86,6 +88,7 @@ class PartPath:
         poses: part-to-world [K, 4, 4] m.
         gain: see `Instance`.
         repeats: begin again at the end; else it stays there.
+        nearer: see `Instance` [m].
     """
 
     cloud: str
@@ -93,6 +96,7 @@ class PartPath:
     poses: F64
     gain: F32 | None = None
     repeats: bool = False
+    nearer: float = 0.0
 
     def at(self, time: float) -> Instance:
         """Where it stands at a time [s]."""
@@ -101,14 +105,15 @@ class PartPath:
             time = first + (time - first) % (last - first)
         after = int(np.searchsorted(self.times, time, side="right"))
         if after == 0 or after == len(self.times):
-            return Instance(self.cloud, self.poses[min(after, len(self.times) - 1)], self.gain)
+            pose = self.poses[min(after, len(self.times) - 1)]
+            return Instance(self.cloud, pose, self.gain, self.nearer)
         span = float(self.times[after] - self.times[after - 1])
         share = (time - float(self.times[after - 1])) / span
         pose = np.eye(4)
         one, other = self.poses[after - 1], self.poses[after]
         pose[:3, 3] = (1.0 - share) * one[:3, 3] + share * other[:3, 3]
         pose[:3, :3] = _turn(one[:3, :3], other[:3, :3], share)
-        return Instance(self.cloud, pose, self.gain)
+        return Instance(self.cloud, pose, self.gain, self.nearer)
 
 
 class PathMotion:
@@ -142,7 +147,8 @@ class PathMotion:
             times = np.asarray(path.times, np.float64)
             if not np.isfinite(times).all() or not (np.diff(times) > 0).all():
                 raise SimError("times do not increase", where=where, remedy="in seconds, each once")
-            check_parts([[Instance(path.cloud, pose, path.gain)] for pose in path.poses], count)
+            each = [[Instance(path.cloud, pose, path.gain, path.nearer)] for pose in path.poses]
+            check_parts(each, count)
 
     def at(self, time: float) -> tuple[Instance, ...]:
         """Where its parts stand at a time [s]."""

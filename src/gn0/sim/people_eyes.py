@@ -13,7 +13,7 @@ import numpy as np
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import choose_level
 from gn0.avatars.light import LightProbes, find_probes
-from gn0.avatars.posed_bank import BUDGET, PosedBank
+from gn0.avatars.posed_bank import BUDGET, NEARER, PosedBank
 from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
 from gn0.geometry import F32, F64, U8, Pose2D
 from gn0.people.cast import Cast
@@ -164,7 +164,7 @@ class PeopleEyes:
         change = () if condition is None else (condition,)
         return [
             tuple(
-                Instance(next(names), pose, gain=self.probes.gain_at(x, y, *change))
+                Instance(next(names), pose, self.probes.gain_at(x, y, *change), NEARER)
                 for pose, (x, y) in zip(view.poses, view.places, strict=True)
             )
             for view in views

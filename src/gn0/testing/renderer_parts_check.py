@@ -72,6 +72,7 @@ def check_renderer_parts(
     for degree in degrees:
         _check_truth(factory, truth or factory, degree, min_psnr, max_depth)
     _check_order(factory, truth or factory)
+    _check_nearer(factory)
     _check_batches(factory)
     _check_empty(factory)
     _check_names(factory)
@@ -196,6 +197,42 @@ def _check_order(factory: PartsFactory, truth: RendererFactory | PartsFactory) -
             _same(got, want.render(camera, view)),
             "at equal depth the cloud comes first, then the instances in the order given",
         )
+
+
+def _check_nearer(factory: PartsFactory) -> None:
+    """What is sorted as if nearer comes before a floor and a wall that hid it, and no further."""
+    camera, view = Camera.from_hfov(64, 48, 60), view_from_pose(0, 0, 1.0, 0, -0.45)
+    across, up = np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.4, 1.2, 9))
+    wall = _wall_cloud(np.column_stack([across.ravel() * 0 + 2.3, across.ravel(), up.ravel()]))
+    renderer = factory(wall, _FLOATS)
+    small = replace(ball_cloud(400, 5, radius=0.1), opacities=np.ones(400, np.float32))
+    renderer.name_cloud("ball", small)
+    bare = renderer.render(camera, view)
+
+    def at(x: float, nearer: float) -> RenderResult:
+        parts = [Instance("ball", pose_at(x, 0.1, 0.2, 6), nearer=nearer)]
+        return renderer.render(camera, view, parts=parts)
+
+    before = at(1.9, 0.0)
+    _expect(_same(before, at(1.9, 0.2)), "before all else nearer changes nothing, depth included")
+    for x, nearer in ((2.45, 0.0), (2.7, 0.0), (2.7, 0.1)):
+        _expect(_same(at(x, nearer), bare), f"at {x} m and {nearer} m nearer a wall hides it")
+    near = at(2.45, 0.4)
+    assert near.depth is not None and bare.depth is not None
+    shows = (near.depth > bare.depth + 0.02).sum()
+    _expect(shows > 20, "a part that is nearer by more than a wall is away shows, at its own depth")
+
+
+def _wall_cloud(means: NDArray[np.floating]) -> GaussianCloud:
+    """Opaque splats at points [N, 3] m, 0.15 m wide across x, four at each."""
+    count = 4 * len(means)
+    return GaussianCloud(
+        means=np.repeat(means, 4, axis=0).astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        scales=np.tile(np.array([0.002, 0.15, 0.15], np.float32), (count, 1)),
+        opacities=np.ones(count, np.float32),
+        sh=np.linspace(-1, 1, 3 * count).reshape(count, 1, 3).astype(np.float32),
+    )
 
 
 def _check_batches(factory: PartsFactory) -> None:

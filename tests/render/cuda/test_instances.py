@@ -369,6 +369,66 @@ def test_more_than_keys_can_number_is_refused(monkeypatch: pytest.MonkeyPatch) -
         draw(Drawer(device), SCENE, replace(plain, gains=None), tails=[plane(9, 1)])
 
 
+NEARER = np.random.default_rng(5).uniform(0.0, 0.8, len(POSES)).astype(np.float32)
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_what_is_sorted_as_if_nearer_is_as_on_the_cpu(want: list[bytes], there: bool) -> None:
+    device = DeviceHost(seed=2)
+    nearer = placed(device, replace(SOME, nearer=NEARER))
+    got = draw(Drawer(device), SCENE, nearer, there=there)
+    plain = np.frombuffer(want[0], np.float32).reshape(got[0].shape)
+    assert psnr(got[0], plain) < 45, "it shows"
+    cpu = RendererCpu(SCENE, EXACT)
+    names = [f"cloud {k}" for k in range(2)]
+    for name, cloud in zip(names, CLOUDS, strict=True):
+        cpu.name_cloud(name, cloud)
+    for v in range(4):
+        mine = range(SOME.firsts[v], SOME.firsts[v + 1])
+        parts = [
+            Instance(names[CHOSEN[i]], POSES[i], GAINS[i], float(NEARER[i]))
+            for i in mine
+            if CHOSEN[i] != NO_PART
+        ]
+        drawn = cpu.render(CAMERA, VIEWS[v], parts=parts)
+        assert psnr(got[0][v], drawn.rgb[0]) >= 75
+        both = np.isfinite(got[1][v]) & np.isfinite(drawn.depth[0])
+        assert np.quantile(abs(got[1][v] - drawn.depth[0])[both], 0.99) <= 1e-4
+
+
+def test_nearer_by_nothing_is_the_same_bytes(want: list[bytes]) -> None:
+    device = DeviceHost()
+    nothing = placed(device, replace(SOME, nearer=np.zeros(len(POSES), np.float32)))
+    for there in (False, True):
+        assert as_bytes(draw(Drawer(device), SCENE, nothing, there=there)) == want
+
+
+def test_a_recorded_call_keeps_what_is_nearer() -> None:
+    device = DeviceHost()
+    drawer, scene = Drawer(device), upload_cloud(device, SCENE)
+    instances = placed(device, replace(SOME, nearer=NEARER))
+    nearer = as_bytes(draw(drawer, SCENE, instances))
+    replay = record(drawer, scene, instances)
+    assert replay is not None
+    pictures = drawer.pictures(CAMERA, 4, OUTPUTS, rgb_float=True)
+    assert replay.draw(VIEWS, pictures, BLACK, POSES, GAINS) is not None
+    assert as_bytes(vars(pictures.numpy()).values()) == nearer
+    assert replace(instances, nearer=None).kind != instances.kind
+
+
+@pytest.mark.parametrize("metres", [-0.1, np.nan, 1.5])
+def test_nearer_by_no_distance_is_told(metres: float) -> None:
+    device = DeviceHost()
+    nearer = NEARER.copy()
+    nearer[3] = metres
+    arrays = (POSES, CHOSEN, SOME.firsts, GAINS, nearer)
+    broken = placed(device, Instances((), *map(device.upload, arrays)))
+    with pytest.raises(RenderError, match=r"instance 3: .*nearer by no distance"):
+        draw(Drawer(device), SCENE, broken, there=True)
+    with pytest.raises(RenderError, match=r"instance 3: .*nearer by no distance"):
+        broken.fetch(4)
+
+
 def test_normals_keep_their_direction() -> None:
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(500, 3))

@@ -640,10 +640,10 @@ def test_outputs_lie_apart_in_an_area() -> None:
     assert places == [0, -(-3 * 48 * 36 * 3 // 64) * 64] and size >= places[1] + 3 * 48 * 36 * 4
 
 
-def part(x: float, gain: Any = None, cloud: str = "ball") -> Instance:
+def part(x: float, gain: Any = None, cloud: str = "ball", nearer: float = 0.0) -> Instance:
     pose = np.eye(4)
     pose[:3, 3] = x, 0.3, 0.4
-    return Instance(cloud, pose, gain)
+    return Instance(cloud, pose, gain, nearer)
 
 
 def test_moving_parts_are_sent_once_and_drawn_as_they_are_here(serve, monkeypatch) -> None:
@@ -652,7 +652,7 @@ def test_moving_parts_are_sent_once_and_drawn_as_they_are_here(serve, monkeypatc
     ball, other = build_ball(0.2, spacing=0.03), many_shapes(40, seed=3, sh_degree=3)
     shade = np.float32([[0.5, 0.6, 0.7], [0, 0, 0], [0, 0, 0], [0.4, 0.3, 0.2]])
     moving = [(), (part(0.5),), (part(1.0, np.float32([1, 0.5, 0])), part(0.2, shade, "other")),
-              (part(-1, shade),)] * 10  # fmt: skip
+              (part(-1, shade, nearer=0.3),)] * 10  # fmt: skip
     alone = open_renderer("cpu")
     alone.keep("scene", random_cloud(1))
     taken: list[str] = []

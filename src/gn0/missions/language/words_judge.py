@@ -210,7 +210,7 @@ def _read_cards(renderer: RendererCpu, camera: Camera, moment: Moment) -> list[F
         ahead = (eye[:2] - place) / max(float(np.linalg.norm(eye[:2] - place)), 1e-9)
         pose[:2, 0], pose[:2, 1], pose[:2, 3] = ahead, (-ahead[1], ahead[0]), place
         pose[2, 3] = _CARD_HEIGHT
-        cards.append(Instance(CARD, pose, person.instance.gain))
+        cards.append(Instance(CARD, pose, person.instance.gain, person.instance.nearer))
     found: list[F64 | None] = []
     for card in cards:  # one by one: a nearer one would hide another
         drawn = renderer.render(camera, moment.view[None], parts=[card], outputs=("rgb",)).rgb

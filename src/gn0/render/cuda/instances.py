@@ -21,7 +21,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.part_table import PartTable
 from gn0.render.cuda.tables import CLOUD, NOWHERE, SPLATS_MAX, TAIL, VIEW, build_views
-from gn0.render.instance import PART_SPLATS_MAX, PARTS_MAX
+from gn0.render.instance import NEARER_MOST, PART_SPLATS_MAX, PARTS_MAX
 from gn0.render.renderer import VIEW_TOLERANCE
 
 NO_PART = -1  # instead of the number of a cloud: nothing stands there
@@ -37,6 +37,7 @@ WRONG_PART = (  # of an instance, as `parts.cu` numbers it
     ("an instance is of no cloud that is here", "give numbers of the call's clouds, or -1"),
     ("an instance's gain is not finite", ""),
     ("too many instances in a view, or instances of none", "give ascending offsets, 32 at most"),
+    ("an instance is nearer by no distance", f"give metres from 0 to {NEARER_MOST:g}"),
 )
 _AXIS = 32767  # steps of a normal's coordinate
 
@@ -52,6 +53,7 @@ class Instances:
         firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
             many each view has.
         gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
+        nearer: float32 [I] by which each is sorted as if nearer [m]; None: 0.
         table: whose slots `chosen` numbers, if it does.
     """
 
@@ -60,6 +62,7 @@ class Instances:
     chosen: NDArray[np.int32] | DeviceArray
     firsts: NDArray[np.int32] | DeviceArray | int
     gains: F32 | DeviceArray | None = None
+    nearer: F32 | DeviceArray | None = None
     table: PartTable | None = None
 
     def __len__(self) -> int:
@@ -71,13 +74,14 @@ class Instances:
         def there(array: NDArray[np.generic] | DeviceArray) -> DeviceArray:
             return device.upload(array) if isinstance(array, np.ndarray) else array
 
-        firsts, gains = self.firsts, self.gains
+        firsts, gains, nearer = self.firsts, self.gains, self.nearer
         return replace(
             self,
             poses=there(self.poses),
             chosen=there(self.chosen),
             firsts=firsts if isinstance(firsts, int) else there(firsts),
             gains=None if gains is None else there(gains),
+            nearer=None if nearer is None else there(nearer),
         )
 
     def fetch(self, views: int) -> Instances:
@@ -90,18 +94,19 @@ class Instances:
         def here(array: NDArray[Any] | DeviceArray) -> NDArray[Any]:
             return array.numpy() if isinstance(array, DeviceArray) else array
 
-        firsts, gains = self.firsts, self.gains
+        firsts, gains, nearer = self.firsts, self.gains, self.nearer
         found = replace(
             self,
             poses=here(self.poses),
             chosen=here(self.chosen),
             firsts=firsts if isinstance(firsts, int) else here(firsts),
             gains=None if gains is None else here(gains),
+            nearer=None if nearer is None else here(nearer),
         )
         found.check(views)
         shown = here(self.chosen) != NO_PART
         known = np.array([cloud is not None for cloud in self.clouds], bool)
-        _check_arrays(here(self.poses), here(self.chosen), found.gains, shown, known)
+        _check_arrays(found, shown, known)
         return found
 
     def compact(self) -> Instances:
@@ -131,6 +136,7 @@ class Instances:
             chosen=self.chosen[at],
             firsts=firsts.astype(np.int32),
             gains=None if gains is None else gains[at],
+            nearer=self._nearer_of(at),
         )
 
     def take(self, rows: NDArray[np.integer]) -> Instances:
@@ -144,7 +150,12 @@ class Instances:
             chosen=self.chosen[rows],
             firsts=1,
             gains=None if gains is None else gains[rows],
+            nearer=self._nearer_of(rows),
         )
+
+    def _nearer_of(self, rows: NDArray[np.integer]) -> F32 | None:
+        assert not isinstance(self.nearer, DeviceArray)
+        return None if self.nearer is None else self.nearer[rows]
 
     def check(self, views: int) -> None:
         """Compare what the host knows with what kernels rely on.
@@ -181,6 +192,7 @@ class Instances:
             most, fits = 0, firsts.shape == (views + 1,) and firsts.dtype == np.int32
         gains = (count, 4, 3) if self.gains is None else self.gains.shape
         whole = self.poses.shape[1:] == (4, 4) and self.chosen.shape == (count,)
+        whole = whole and (self.nearer is None or self.nearer.shape == (count,))
         if not (fits and whole and gains == (count, 4, 3)):
             raise RenderError(
                 f"{count} instances do not belong to {views} views",
@@ -199,12 +211,14 @@ class Instances:
 
         With a table neither which of its clouds stand there need be the same.
         """
+        assert not isinstance(self.nearer, DeviceArray)
+        nearer = None if self.nearer is None else self.nearer.tobytes()
         if self.table is not None:
-            return (id(self.table), self.table.version, self.firsts, self.gains is None)
+            return (id(self.table), self.table.version, self.firsts, self.gains is None, nearer)
         assert isinstance(self.chosen, np.ndarray) and not isinstance(self.firsts, DeviceArray)
         firsts = self.firsts if isinstance(self.firsts, int) else self.firsts.tobytes()
         clouds = tuple(map(id, self.clouds))  # held by the recorded call
-        return (clouds, self.chosen.tobytes(), firsts, self.gains is None)
+        return (clouds, self.chosen.tobytes(), firsts, self.gains is None, nearer)
 
     def counts(self, views: int) -> NDArray[np.int64]:
         """Instances of each view; only the host's."""
@@ -220,18 +234,17 @@ class Instances:
         return np.array(found, np.uint64)
 
 
-def _check_arrays(
-    poses: F64,
-    chosen: NDArray[np.int32],
-    gains: Any,
-    shown: NDArray[np.bool_],
-    known: NDArray[np.bool_],
-) -> None:
+def _check_arrays(found: Instances, shown: NDArray[np.bool_], known: NDArray[np.bool_]) -> None:
     """Instances that are shown, one by one.
 
     Raises:
         RenderError: see `Instances.fetch`.
     """
+    poses, chosen, gains, nearer = (
+        np.asarray(array) if array is not None else None
+        for array in (found.poses, found.chosen, found.gains, found.nearer)
+    )
+    assert poses is not None and chosen is not None
     finite = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     safe = np.where(finite.reshape(-1, 1, 1), poses, 0.0)
     rotation = safe[:, :3, :3]
@@ -241,7 +254,8 @@ def _check_arrays(
     here = (chosen >= 0) & (chosen < len(known))
     here[here] = known[chosen[here]]
     lit = np.full(len(poses), True) if gains is None else np.isfinite(gains).all(axis=(1, 2))
-    for why, sound in enumerate((finite, rigid, here, lit)):
+    near = np.full(len(poses), True) if nearer is None else (nearer >= 0) & (nearer <= NEARER_MOST)
+    for why, sound in ((0, finite), (1, rigid), (2, here), (3, lit), (5, near)):
         if not (sound | ~shown).all():
             what, remedy = WRONG_PART[why]
             raise RenderError(what, where=f"instance {np.argmin(sound | ~shown)}", remedy=remedy)
@@ -285,6 +299,9 @@ def build_parts(
     views["cloud"][~there] = NOWHERE
     views["spare"][:, _IS_PART] = TAIL | before.astype(np.uint32) << np.uint32(_PART_SHIFT)
     views["spare"][:, _WHOSE] = whose
+    views["row"] = 0
+    if isinstance(instances.nearer, np.ndarray):
+        views["row"] = instances.nearer[which].view(np.uint32)
     parts = np.zeros(len(chosen), PART)
     if len(table) > base:
         parts["cloud"] = table[cloud_of]

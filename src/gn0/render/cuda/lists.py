@@ -200,15 +200,17 @@ class Lists:
         self, work: WorkDevice, instances: Instances, normals: DeviceArray
     ) -> WriteParts:
         """What `write_parts` is given of instances on the device."""
-        firsts, gains = instances.firsts, instances.gains
+        firsts, gains, nearer = instances.firsts, instances.gains, instances.nearer
         poses, chosen = instances.poses, instances.chosen
         assert isinstance(poses, DeviceArray) and isinstance(chosen, DeviceArray)
         assert not isinstance(firsts, np.ndarray) and not isinstance(gains, np.ndarray)
+        assert not isinstance(nearer, np.ndarray)
         assert self.parts is not None
         return WriteParts(
             matrices=work.poses,
             poses=poses,
             gains=gains,
+            nearer=nearer,
             chosen=chosen,
             firsts=None if isinstance(firsts, int) else firsts,
             each=np.uint32(firsts if isinstance(firsts, int) else 0),

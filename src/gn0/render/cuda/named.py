@@ -133,7 +133,7 @@ class NamedClouds:
             if parts.names is not None:
                 clouds = [self._cloud(name) for name in parts.names]
             found = Instances(
-                *(clouds, parts.poses, parts.chosen, parts.firsts, parts.gains),
+                *(clouds, parts.poses, parts.chosen, parts.firsts, parts.gains, parts.nearer),
                 table=self.table if parts.names is None else None,
             )
             found.check(views)
@@ -169,4 +169,8 @@ def _join_rows(
     gains: F32 | None = None
     if any(instance.gain is not None for instance in different):
         gains = np.stack([instance.whole_gain for instance in different])[at]
-    return Instances(table.clouds, poses, chosen, each, gains, table=table)
+    nearer: F32 | None = None
+    if any(instance.nearer > 0 for instance in different):
+        nearer = np.array([instance.nearer for instance in different], np.float32)[at]
+        nearer[~there] = different[-1].nearer  # so that who comes into view is no other call
+    return Instances(table.clouds, poses, chosen, each, gains, nearer, table)

@@ -125,6 +125,7 @@ class WriteParts(NamedTuple):
     matrices: DeviceArray
     poses: DeviceArray
     gains: DeviceArray | None
+    nearer: DeviceArray | None
     chosen: DeviceArray
     firsts: DeviceArray | None
     each: np.uint32

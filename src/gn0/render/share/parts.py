@@ -88,6 +88,7 @@ class PartRows(msgspec.Struct, frozen=True):
         poses: float64 [P, 4, 4] part to world.
         gains: float32 [P, 4, 3]; NaN where there is none.
         ends: int32 [V] where the instances of each view end.
+        nearer: float64 [P] m; empty where all are 0.
     """
 
     clouds: tuple[str, ...]
@@ -95,6 +96,7 @@ class PartRows(msgspec.Struct, frozen=True):
     poses: bytes
     gains: bytes
     ends: bytes
+    nearer: bytes = b""
 
     @classmethod
     def of_parts(cls, parts: Sequence[Sequence[Instance]], names: Mapping[str, str]) -> PartRows:
@@ -105,12 +107,14 @@ class PartRows(msgspec.Struct, frozen=True):
         for gain, row in zip(gains, rows, strict=True):
             if row.gain is not None:
                 gain[:] = row.whole_gain
+        nearer = np.array([row.nearer for row in rows], np.float64)
         return cls(
             tuple(clouds),
             np.array([clouds[names[row.cloud]] for row in rows], np.int32).tobytes(),
             np.array([row.pose for row in rows], np.float64).tobytes(),
             gains.tobytes(),
             np.cumsum([len(instances) for instances in parts], dtype=np.int32).tobytes(),
+            nearer.tobytes() if nearer.any() else b"",
         )
 
     def read(self, count: int, prefix: str = "") -> list[tuple[Instance, ...]]:
@@ -127,6 +131,7 @@ class PartRows(msgspec.Struct, frozen=True):
         ends = np.frombuffer(self.ends, np.int32)
         total = len(cloud_of)
         good = len(self.poses) == total * 128 and len(self.gains) == total * 48
+        good = good and len(self.nearer) in (0, total * 8)
         good = good and len(ends) == count and bool((np.diff(ends, prepend=0) >= 0).all())
         good = good and (int(ends[-1]) if count else 0) == total
         if not good or ((cloud_of < 0) | (cloud_of >= len(self.clouds))).any():
@@ -135,9 +140,13 @@ class PartRows(msgspec.Struct, frozen=True):
             )
         poses = np.frombuffer(self.poses, np.float64).reshape(-1, 4, 4)
         gains = np.frombuffer(self.gains, np.float32).reshape(-1, 4, 3)
+        nearer = np.frombuffer(self.nearer, np.float64) if self.nearer else np.zeros(total)
+        each = zip(cloud_of.tolist(), poses, gains, nearer.tolist(), strict=True)
         rows = [
-            Instance(f"{prefix}{self.clouds[cloud]}", pose, None if np.isnan(gain).any() else gain)
-            for cloud, pose, gain in zip(cloud_of.tolist(), poses, gains, strict=True)
+            Instance(
+                f"{prefix}{self.clouds[cloud]}", pose, None if np.isnan(gain).any() else gain, near
+            )
+            for cloud, pose, gain, near in each
         ]
         starts = [0, *ends.tolist()]
         return [tuple(rows[a:b]) for a, b in pairwise(starts)]

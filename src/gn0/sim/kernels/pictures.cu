@@ -23,8 +23,8 @@ KERNEL(build_views)(World w, double height, double cos_pitch, double sin_pitch, 
 // Where the parts of each agent's scene stand at its step: rows [N, parts] of the tables [motions,
 // times, parts], which `motion_of` numbers by scene; and the steps themselves.
 KERNEL(place_parts)(World w, const int *motion_of, const double *poses, const int *chosen,
-                    const float *gains, int times, int parts, double *out_poses, int *out_chosen,
-                    float *out_gains, int *steps) {
+                    const float *gains, const float *nearer, int times, int parts, double *out_poses,
+                    int *out_chosen, float *out_gains, float *out_nearer, int *steps) {
   u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k >= (u64)w.count * parts) return;
   int i = (int)(k / parts), p = (int)(k % parts), slot = w.slot[i];
@@ -39,6 +39,7 @@ KERNEL(place_parts)(World w, const int *motion_of, const double *poses, const in
   for (int j = 0; j < 16; j++) out_poses[16 * k + j] = poses[16 * row + j];
   if (gains)
     for (int j = 0; j < 12; j++) out_gains[12 * k + j] = gains[12 * row + j];
+  if (nearer) out_nearer[k] = nearer[row];
 }
 
 KERNEL(clip_depth)(const float *depth, float low, float high, u64 size, float *out) {

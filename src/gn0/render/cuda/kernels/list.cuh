@@ -116,8 +116,8 @@ __device__ __forceinline__ int2 tile_rows(const Ellipse &e, float u, float v, co
 }
 
 template <bool EMIT>
-__device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View &w, u32 flags,
-                                           u32 tiles_x, u32 first_tile, const Lists &to) {
+__device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View &w, const float &nearer,
+                                           u32 flags, u32 tiles_x, u32 first_tile, const Lists &to) {
   Footprint f;
   Box box = {0, 0, 0, 0};
   bool seen = project(s, w, flags, f) && bound(f, w, box);
@@ -126,7 +126,9 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   int tx0 = (u32)box.x0 / TILE, tx1 = (u32)(box.x1 + TILE - 1) / TILE;
   int ty0 = (u32)box.y0 / TILE, ty1 = (u32)(box.y1 + TILE - 1) / TILE;
   int tiles = seen ? (tx1 - tx0) * (ty1 - ty0) : 0;
-  u64 key = (u64)__float_as_uint(f.z) << 32 | index;
+  // as on the CPU: an instance may be sorted as if nearer
+  float order = INSTANCES ? fmaxf(f.z - nearer, f.z * 0.5f) : f.z;
+  u64 key = (u64)__float_as_uint(order) << 32 | index;
   // small footprints: each lane walks the tiles of its own box, all in step
   bool large = tiles > LARGE;
   int column = tx0, row = large || tiles == 0 ? ty1 : ty0;
@@ -200,7 +202,9 @@ __device__ __forceinline__ u32 find_group(const Group *__restrict__ groups, u32 
 
 struct alignas(16) ViewHeld {  // 36 words: lanes that read one word of many views meet few conflicts
   View view;
-  u32 who, spare[3];
+  u32 who;
+  float nearer;
+  u32 spare[2];
 };
 
 template <bool EMIT>
@@ -223,8 +227,11 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
     u32 view = members[g.first_member + first + k / 8];
     float4 words = ((const float4 *)(views + view))[k % 8];
     ((float4 *)&held[k / 8])[k % 8] = words;
-    if (INSTANCES && k % 8 == 7)  // these are `spare`
-      held[k / 8].who = __float_as_uint(words.z) ? __float_as_uint(words.w) : view;
+    if (INSTANCES && k % 8 == 7) {  // these are `row` and `spare`
+      bool part = __float_as_uint(words.z);
+      held[k / 8].who = part ? __float_as_uint(words.w) : view;
+      held[k / 8].nearer = part ? words.x : 0.f;
+    }
     if (!INSTANCES && k % 8 == 0) held[k / 8].who = view;
   }
   __syncthreads();
@@ -259,7 +266,7 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
     for (u32 rest = mask; rest; rest &= rest - 1) {
       const ViewHeld &one = held[__ffs(rest) - 1];
       u32 low = INSTANCES ? index | one.view.spare[IS_PART] : index;
-      list_splat<EMIT>(s, low, load_view(one.view), flags, tiles_x, one.who * tiles, to);
+      list_splat<EMIT>(s, low, load_view(one.view), one.nearer, flags, tiles_x, one.who * tiles, to);
     }
   }
 }

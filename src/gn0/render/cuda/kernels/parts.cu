@@ -38,7 +38,9 @@ KERNEL_BOUNDED(paint_parts, THREADS, BLOCKS)
 #define PART_NOT_HERE 2u
 #define PART_GAIN 3u
 #define PART_OFFSETS 4u
+#define PART_NEARER 5u
 #define PARTS_MAX 32
+#define NEARER_MOST 1.f
 #define NO_PART -1  // instead of a cloud: nothing stands there
 
 // Words of a table of clouds, to behind the clouds of a call.
@@ -69,10 +71,12 @@ __device__ __forceinline__ u32 find_whose(const int *__restrict__ firsts, u32 ea
 // Behind `write_views`, which has written views `first` to `first + count` of `all`: the views
 // [instances] of instances behind them, from world-to-camera `matrices` [all, 4, 4] and part-to-world
 // `poses` [instances, 4, 4]; and what painting needs of each. `chosen` numbers their clouds, `known`
-// ones from `clouds + base` on, with normals at `normals`, in `bounds` (null: anywhere). `gains` [instances, 4, 3] may be null.
+// ones from `clouds + base` on, with normals at `normals`, in `bounds` (null: anywhere). `gains` [instances, 4, 3]
+// and `nearer` [instances] may be null.
 // Double precision, operation for operation as `gn0.render.cuda.instances` does it.
 KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restrict__ poses,
-                    const float *__restrict__ gains, const int *__restrict__ chosen,
+                    const float *__restrict__ gains, const float *__restrict__ nearer,
+                    const int *__restrict__ chosen,
                     const int *__restrict__ firsts, u32 each, const Cloud *__restrict__ clouds,
                     u32 base, u32 known, const u64 *__restrict__ normals,
                     const float *__restrict__ bounds, double tolerance, u32 first, u32 count, u32 all,
@@ -95,7 +99,7 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
   like.spare[0] = NOWHERE, like.spare[IS_PART] = TAIL | before << PART_SHIFT;
   like.spare[WHOSE] = whose - first;
   like.near = 1.f, like.far = 0.f;
-  like.cloud = like.tail = like.row = NOWHERE;
+  like.cloud = like.tail = NOWHERE, like.row = 0;
   bool here = whose >= first && whose - first < count && before < PARTS_MAX && number != NO_PART;
   here = here && views[whose - first].cloud != NOWHERE;  // a view that is none is told of alone
   u32 why = !is_finite(p, 16) ? PART_NOT_FINITE : !is_rigid(p, tolerance) ? PART_NOT_RIGID
@@ -104,6 +108,10 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
   if (here && why == NOWHERE && gains)
     for (int k = 0; k < 12; k++)
       if (!(fabsf(gains[(u64)i * 12 + k]) <= 3.4028234e38f)) why = PART_GAIN;
+  if (here && why == NOWHERE && nearer) {
+    like.row = __float_as_uint(nearer[i]);
+    if (!(nearer[i] >= 0.f && nearer[i] <= NEARER_MOST)) why = PART_NEARER;
+  }
   if (here && why != NOWHERE) like.spare[0] = WRONG_PART | i << 3 | why;
   if (here && why == NOWHERE) {
     const double *m = matrices + (u64)whose * 16;

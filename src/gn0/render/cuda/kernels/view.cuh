@@ -18,6 +18,7 @@
 #define TAIL_SLOT (1u << 27)                         // beside a slot: of a tail
 #define IS_PART 1  // words of `spare`, beside what is wrong with it: an instance's key bits, else 0
 #define WHOSE 2    // the view that an instance belongs to, or the first instance of a view
+// `row` of an instance's view: bits of the metres by which it is sorted as if nearer
 
 struct alignas(16) View {  // 32 words
   float r[9], eye[3], fx, fy, cx, cy, near, far;

@@ -145,7 +145,7 @@ PEOPLE = KernelSource(
     "people",
     tuple(
         KERNELS / f"{part}.cu"
-        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow", "shown")
+        for part in ("world", "step", "reach", "detour", "tick", "crowd", "follow", "shown", "who")
     ),
     (
         *SOURCE.defines,

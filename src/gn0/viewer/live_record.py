@@ -42,6 +42,7 @@ RULES = (
     "**I** forward · **J** left · **L** right · **V** next map · **N** next episode"
 )
 
+RULES_PEOPLE = "People move only while you act: turn to and fro to let somebody pass."
 RULES_FOLLOW = (
     "Follow whom the task says. **Wait** stands still for one action; people move only while you "
     "act. The walk ends by itself, and is scored: when the person has arrived, when you touched "
@@ -142,6 +143,8 @@ class RecordView:
         told = "goal_picture" in self.recorder.sensors
         self._goal = gui.add_image(blank, format="jpeg") if told else None
         gui.add_markdown(RULES_FOLLOW if self._follows else RULES)
+        if not self._follows and any(e.people for e in self.recorder.suite.episodes):
+            gui.add_markdown(RULES_PEOPLE)
         for label, key, work in (
             ("Agent: forward", "I", partial(self.move, "forward")),
             ("Agent: left", "J", partial(self.move, "left")),

@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.people_replay import PeopleReplay, PeopleThen
+from gn0.bench.report_follow import tell_end
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import RenderError
 from gn0.geometry import F64, U8, view_from_pose
@@ -213,8 +214,9 @@ def _caption(
         if index - 1 in hits:
             text += f" (cut short by {hits[index - 1]})"
     if result is not None and isinstance(result.follow, FollowMetrics):
-        verdict = "success" if result.follow.success else f"ended by {result.follow.end}"
-        text += f" · {verdict}, followed {result.follow.following_rate:.0%}"
+        follow = result.follow
+        verdict = "success" if follow.success else tell_end(follow.end, False)
+        text += f" · {verdict}, followed {follow.following_rate:.0%}"
     elif result is not None and result.metrics is not None:
         m = result.metrics
         verdict = "success" if m.success else ("stopped too far" if result.stopped else "no stop")

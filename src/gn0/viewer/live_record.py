@@ -16,7 +16,7 @@ from PIL import Image
 
 from gn0.bench.company_watch import FollowReferee
 from gn0.bench.follow_metrics import FollowMetrics
-from gn0.bench.report_follow import END_WORDS
+from gn0.bench.report_follow import tell_end
 from gn0.bench.results import EpisodeResult
 from gn0.bench.walk_recording import WalkRecorder
 from gn0.errors import EpisodeError
@@ -330,7 +330,7 @@ def tell_result(result: EpisodeResult | None) -> str:
     if isinstance(result.follow, FollowMetrics):
         f = result.follow
         return (
-            f"**{'Success' if f.success else 'No success'}:** ended by {END_WORDS[f.end]} · "
+            f"**{'Success' if f.success else 'No success'}:** {tell_end(f.end, f.success)} · "
             f"{100 * f.following_rate:.0f} % followed · {f.distance_error:.2f} m off the distance "
             f"to keep · {f.steps} steps, {f.losses} losses"
         )

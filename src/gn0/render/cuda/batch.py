@@ -448,8 +448,9 @@ class RendererBatch:
             who = nobody._replace(numbers=found.instance)
 
             def draw_one(rows: NDArray[np.int64], one_each: Instances) -> DeviceArray:
-                look = draw_alone, self.drawer, camera, matrices[rows], one_each
-                return self._with_room(partial(*look, self.options.antialiased), (), [])
+                look, options = matrices[rows], self.options
+                attempt = partial(draw_alone, self.drawer, camera, look, one_each)
+                return self._with_room(partial(attempt, options.antialiased), (), [])
 
             count_all(self.device, who, moving, count, draw_one)
             return who

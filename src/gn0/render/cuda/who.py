@@ -84,9 +84,20 @@ def count_all(
     for begin in range(0, len(shown), step):
         rows = shown[begin : begin + step]
         alone = draw_alone(whose[rows], instances.take(rows))
-        there = (device.upload(of.astype(np.int32)) for of in (whose[rows], before[rows], rows))
-        pixels, wide = np.uint64(height * width), np.uint32(width)
-        counting = CountSeen(who.numbers, alone, *there, pixels, wide, np.float32(SHOWN), who.seen)
+        views_of, places, at = (
+            device.upload(of.astype(np.int32)) for of in (whose[rows], before[rows], rows)
+        )
+        counting = CountSeen(
+            numbers=who.numbers,
+            alone=alone,
+            views=views_of,
+            places=places,
+            rows=at,
+            pixels=np.uint64(height * width),
+            width=np.uint32(width),
+            shown=np.float32(SHOWN),
+            out=who.seen,
+        )
         device.load(SOURCE)["count_seen"].launch(len(alone), _THREADS, counting)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from gn0.device.device import DeviceArray
 from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.device_eyes import AgentsThere
+from gn0.sim.device_there import AgentsThere
 from gn0.sim.vector import VectorEnv
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.device import interleave, is_emulation, median

@@ -100,14 +100,14 @@ def test_a_box_says_where_somebody_stands(ahead: float, part: float) -> None:
 
 def test_the_controllers_turn_walk_and_stand() -> None:
     def at(degrees: float, distance: float) -> Action:
-        seen = Sighting((0, 0), 0.0, (), bearing=math.radians(degrees), distance=distance)
+        seen = Sighting((0, 0), 0.0, (), (), bearing=math.radians(degrees), distance=distance)
         return steer(seen, BoxGains(distance=1.5), BODY)
 
     assert at(0, 1.5) == at(7, 1.6) == at(0, 0.6) == Action.STOP
     assert at(8, 1.5) == at(30, 3.0) == Action.LEFT and at(-8, 1.5) == Action.RIGHT
     assert at(0, 1.7) == Action.FORWARD
     assert at(20, 3.0) == Action.FORWARD, "far off it walks first"
-    leaving = Sighting((0, 0), 0.0, (), distance=1.5, leaving=1.0)
+    leaving = Sighting((0, 0), 0.0, (), (), distance=1.5, leaving=1.0)
     assert steer(leaving, BoxGains(distance=1.5), BODY) == Action.FORWARD, (
         "before the distance has grown"
     )
@@ -141,6 +141,19 @@ def test_after_a_loss_it_cannot_tell_look_alikes_apart() -> None:
     stranger = box_at(120, red)
     assert tracker.choose([stranger], Pose2D(0, 0, 0), 0.2) is None, "nobody is so quick"
     assert tracker.choose([stranger], Pose2D(9, 9, 3), 5.0) == stranger
+
+
+def test_clothes_are_its_person_s_in_another_light() -> None:
+    """As from a bedroom by day into a hallway by lamps; after a loss in either light."""
+    tracker, here = PersonTracker(VIEW), Pose2D(0.0, 0.0, 0.0)
+
+    def lit(warm: float) -> PersonBox:
+        return box_at(70, (40.0, 0.0, warm - 10.0) * 2)
+
+    for k in range(31):
+        assert tracker.look([lit(k)], here, 0.2 * k) is not None, k
+    for warm, found in ((0.0, True), (30.0, True), (60.0, False)):
+        assert (tracker.choose([lit(warm)], here, 20.0) is not None) == found
 
 
 def test_it_looks_for_who_went_round_a_corner_where_it_was_last_seen() -> None:

@@ -17,6 +17,7 @@ from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson, PersonStop
 from gn0.people.shown import Shown, show_person
 from gn0.render import Camera
+from gn0.render.cuda import who as render_who
 from gn0.render.cuda.batch import RendererBatch
 from gn0.scenes import build_example_scene
 from gn0.sim import presets
@@ -188,9 +189,10 @@ def test_light_is_that_of_the_scene_s_probes(episodes, bank, preset) -> None:
 
 
 def test_pictures_show_people_as_the_vector_env_s(episodes, bank, preset, monkeypatch) -> None:
-    """Colour within a level of 255 and depth alike, by the same renderer from host instances."""
+    """Colour within a level of 255, depth alike and who is who, from host instances."""
     monkeypatch.setenv("GN0_DEVICE", "host")
-    sensors = ("rgb", "depth", "history")
+    monkeypatch.setattr(render_who, "ALONE_BYTES", 3 * 4 * EYE.width * EYE.height)  # a few at once
+    sensors = ("rgb", "depth", "history", "who", "people_seen")
     env = open_device_env(episodes, bank, preset, sensors=sensors)
     twin = VectorEnv(
         3, FLAT, episodes=episodes, sensors=sensors, preset=preset, agent=BODY, bank=bank,
@@ -201,12 +203,17 @@ def test_pictures_show_people_as_the_vector_env_s(episodes, bank, preset, monkey
     theirs = twin.reset(seed=0, options={"episode": names})[0]
     bare = mine["rgb"].numpy()[2]
     assert (mine["rgb"].numpy()[0] != bare).any()
+    met = set()
     for row in ([2, 2, 2], [1, 3, 1], [1, 1, 2]):
         for name in ("rgb", "history"):
             apart = np.abs(mine[name].numpy().astype(int) - theirs[name].astype(int))
             assert apart.max() <= 1, name
         np.testing.assert_allclose(mine["depth"].numpy(), theirs["depth"], atol=1e-3)
+        for name in ("who", "people_seen"):
+            np.testing.assert_array_equal(mine[name].numpy(), theirs[name], err_msg=name)
+        met |= set(np.unique(mine["who"].numpy()).tolist())
         mine, theirs = env.step(np.array(row))[0], twin.step(np.array(row))[0]
+    assert met == {0, 2, 3, 7}
 
 
 def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> None:

@@ -165,7 +165,7 @@ def test_a_walk_by_hand_of_following_ends_by_its_rules(suite: Suite, tmp_path: P
         while page.walking:
             page.move("forward")
         score = page._status.content
-        assert "ended by" in score and "followed" in score
+        assert "touched somebody" in score and "followed" in score
         assert page._list.value[0] in "✓✗"
         assert page._simulator is not None
         assert page._simulator.show_people(page._simulator.pose, 100.0) is not None

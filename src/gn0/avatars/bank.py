@@ -222,9 +222,10 @@ class AvatarBank:
         for entry in self.list.avatars:
             if entry.name == name:
                 return entry
+        more = " …" if len(self.names) > 6 else ""
         raise FormatError(
             f"no avatar is named {name!r}", file=self.folder / BANK_FILE, field=name,
-            remedy=f"choose one of {', '.join(self.names[:6])} …",
+            remedy=f"choose one of {', '.join(self.names[:6])}{more}",
         )  # fmt: skip
 
     def load(self, name: str) -> Avatar:

@@ -10,11 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.people_replay import PeopleReplay, PeopleThen
+from gn0.bench.report_follow import tell_end
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import RenderError
 from gn0.geometry import F64, U8, view_from_pose
@@ -29,7 +31,8 @@ from gn0.sim.live_bev import draw_people
 from gn0.sim.presets import CameraPreset
 
 VIEW_HEIGHT = 252  # px of the view and of the map beside it
-CAPTION = 46  # px
+CAPTION, LINE = 46, 18  # px: below the view where the instruction is one line; each line more
+MOST_LINES = 3  # of an instruction
 FRAMES_PER_SECOND = 8
 MOST_FRAMES = 64
 CLIP_LIMIT = 1_500_000  # bytes
@@ -38,6 +41,7 @@ BATCH = 8  # views rendered in one call
 
 INK, PAPER, MUTED = (238, 240, 243), (18, 21, 26), (150, 158, 170)
 GOOD, BAD, TRAIL, PLAN = (80, 200, 130), (240, 110, 90), (255, 176, 59), (140, 190, 255)
+_Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 ACTION_WORDS = {-1: "teleport", 0: "stop", 1: "forward", 2: "turn left", 3: "turn right"}
 
 
@@ -136,7 +140,8 @@ def render_clip(
                 scene.renderer, scene.preset, scene.camera_height, [pose], parts=people.parts
             )
     backdrop = _MapPainter(scene.bev, episode, np.array(trace.poses)[:, :2])
-    hits = set(trace.collided)
+    touched = {} if isinstance(trace.touches, msgspec.UnsetType) else dict(trace.touches)
+    hits = {k: "a person" if k in touched else "an obstacle" for k in trace.collided}
     frames = []
     for number, (index, view) in enumerate(zip(indices, views, strict=True)):
         over = index == len(trace.poses) - 1
@@ -199,15 +204,19 @@ def render_eyes(
     return pictures
 
 
-def _caption(index: int, trace: EpisodeTrace, hits: set[int], result: EpisodeResult | None) -> str:
+def _caption(
+    index: int, trace: EpisodeTrace, hits: dict[int, str], result: EpisodeResult | None
+) -> str:
+    """What happened last; `hits` say what cut actions short."""
     text = f"step {index} of {len(trace.actions)}"
     if index > 0:
         text += f" · {ACTION_WORDS.get(trace.actions[index - 1], '?')}"
         if index - 1 in hits:
-            text += " (cut short by an obstacle)"
+            text += f" (cut short by {hits[index - 1]})"
     if result is not None and isinstance(result.follow, FollowMetrics):
-        verdict = "success" if result.follow.success else f"ended by {result.follow.end}"
-        text += f" · {verdict}, followed {result.follow.following_rate:.0%}"
+        follow = result.follow
+        verdict = "success" if follow.success else tell_end(follow.end, False)
+        text += f" · {verdict}, followed {follow.following_rate:.0%}"
     elif result is not None and result.metrics is not None:
         m = result.metrics
         verdict = "success" if m.success else ("stopped too far" if result.stopped else "no stop")
@@ -276,27 +285,39 @@ def _compose(
     view: U8, plan: U8, title: str, instruction: str, caption: str, colour: tuple[int, int, int]
 ) -> U8:
     width = view.shape[1] + plan.shape[1]
-    picture = Image.new("RGB", (width, VIEW_HEIGHT + CAPTION), PAPER)
+    large, small = ImageFont.load_default(14), ImageFont.load_default(12)
+    lines = _wrap(instruction, large, width - 16)
+    below = VIEW_HEIGHT + LINE * (len(lines) - 1)
+    picture = Image.new("RGB", (width, below + CAPTION), PAPER)
     picture.paste(Image.fromarray(np.ascontiguousarray(view)), (0, 0))
     picture.paste(Image.fromarray(plan), (view.shape[1], 0))
     draw = ImageDraw.Draw(picture)
-    large, small = ImageFont.load_default(14), ImageFont.load_default(12)
-    draw.text((8, VIEW_HEIGHT + 5), _fit(draw, instruction, large, width - 16), INK, large)
-    left = _fit(draw, f"{title} · {caption}", small, width - 16)
-    draw.text((8, VIEW_HEIGHT + 25), left, colour, small)
+    for number, line in enumerate(lines):
+        draw.text((8, VIEW_HEIGHT + 5 + LINE * number), line, INK, large)
+    draw.text((8, below + 25), _fit(f"{title} · {caption}", small, width - 16), colour, small)
     return np.asarray(picture)
 
 
-def _fit(
-    draw: ImageDraw.ImageDraw,
-    text: str,
-    font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
-    width: int,
-) -> str:
+def _wrap(text: str, font: _Font, width: int) -> list[str]:
+    """Text on as many lines as it needs, `MOST_LINES` at most, the last cut where it is longer."""
+    words, lines = text.split(), [""]
+    for number, word in enumerate(words):
+        longer = f"{lines[-1]} {word}".strip()
+        if font.getlength(longer) <= width or not lines[-1]:
+            lines[-1] = longer
+        elif len(lines) < MOST_LINES:
+            lines.append(word)
+        else:
+            lines[-1] = " ".join([lines[-1], *words[number:]])
+            break
+    return [_fit(line, font, width) for line in lines]
+
+
+def _fit(text: str, font: _Font, width: int) -> str:
     """Text on one line, cut with an ellipsis where it is too long [px]."""
     line = " ".join(text.split())[:400]
-    if draw.textlength(line, font) <= width:
+    if font.getlength(line) <= width:
         return line
-    while line and draw.textlength(line + "…", font) > width:
+    while line and font.getlength(line + "…") > width:
         line = line[:-1]
     return line + "…"

@@ -196,6 +196,7 @@ def protocol_card(
         ("reference path", describe_paths(suite)),
         *_goal_rows(suite),
         *_follow_rows(suite),
+        *_people_rows(suite),
         (
             "navigation error",
             "both are reported; profile "
@@ -290,6 +291,26 @@ def _follow_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
             f"lost ({rules.lost_after} steps beyond {rules.lost_beyond:g} m) or after "
             f"{rules.max_steps} steps; success is to follow then (docs/following.md). Rows on "
             "success and step limit are of other missions",
+        ),
+    )
+
+
+def _people_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
+    """How people count in missions to a goal; no row in a suite that has no such episode."""
+    among = [
+        episode.people
+        for episode in suite.episodes
+        if episode.people and not isinstance(episode.mission, MissionFollow)
+    ]
+    if not among:
+        return ()
+    most = max(map(len, among))
+    return (
+        (
+            "people",
+            f"{len(among)} of {len(suite.episodes)} episodes have people, {most} at most: they "
+            "move while the agent acts, and are obstacles; a touch is a move cut short because of "
+            "one, by the agent; it ends nothing, and CR is the share of episodes that have one",
         ),
     )
 

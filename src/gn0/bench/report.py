@@ -32,7 +32,13 @@ from gn0.bench.intervals import Interval
 from gn0.bench.metrics import METRICS, TOUCHED
 from gn0.bench.people_replay import PeopleReplay
 from gn0.bench.release_score import SIDE_BY_SIDE
-from gn0.bench.report_follow import END_WORDS, distance_strip, follow_line, track_marks
+from gn0.bench.report_follow import (
+    END_WORDS,
+    distance_strip,
+    follow_line,
+    tell_end,
+    track_marks,
+)
 from gn0.bench.report_maps import (
     MapWindow,
     bev_symbol,
@@ -546,7 +552,7 @@ def _released(run: RunData, name: str) -> dict[str, Any]:
 def _explain(result: EpisodeResult) -> str:
     m = result.metrics
     if isinstance(result.follow, FollowMetrics):
-        return "" if result.follow.success else f"ended by {END_WORDS[result.follow.end]}"
+        return "" if result.follow.success else tell_end(result.follow.end, False)
     theirs = result.release
     if theirs is not None and theirs.forced_stop is not None:
         verdict = "success" if theirs.success else "failure"

@@ -16,7 +16,7 @@ from gn0.bench.follow_metrics import FollowMetrics, FollowSteps
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.report_maps import MapWindow, simplify
 from gn0.geometry import F64
-from gn0.missions.follow_rules import FOLLOW, FollowRules
+from gn0.missions.follow_rules import FOLLOW, FollowEnd, FollowRules
 
 WIDTH, PLOT, ROW = 720.0, 132.0, 11.0  # SVG units: of the strip, of its plot's height, of a row
 X0, X1, Y0 = 64.0, 708.0, 20.0  # SVG units: of the plot, left, right and top
@@ -36,6 +36,19 @@ END_WORDS = {
     "over": "track over, and 3 s",
     None: "no end",
 }
+_FAILED = {
+    "touch": "touched somebody",
+    "lost": "lost the person",
+    "steps": "did not follow at the step limit",
+    "stop": "said STOP too early, or too far off",
+    "over": "did not follow at the end",
+    None: "no end",
+}
+
+
+def tell_end(end: FollowEnd | None, success: bool) -> str:
+    """How an episode of following ended, in words."""
+    return f"ended by {END_WORDS[end]}" if success else _FAILED[end]
 
 
 def spans(flags: Sequence[bool] | NDArray[np.bool_]) -> list[tuple[int, int]]:

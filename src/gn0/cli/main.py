@@ -30,7 +30,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "avatar generate": ("avatar_generate", "dressed people from a seed, and a page of them"),
     "avatar show": ("avatar_show", "draw an avatar, or a page of a bank of them"),
     "avatar animate": ("avatar_animate", "let an avatar walk, wave, sit or move by a file"),
-    "avatar import": ("avatar_import", "a person of splats, as LHM makes them"),
+    "avatar import": (
+        "avatar_import",
+        "a person of yours: splats of LHM, or a mesh (.glb)",
+    ),
     "avatar check": ("avatar_check", "skin through clothes, feet off the floor, wrong colours"),
     "view": ("view", "walk through a scene in the browser, or replay runs side by side"),
     "bench run": ("bench_run", "run a policy over a suite, or over a scene folder"),

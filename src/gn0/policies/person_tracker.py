@@ -21,6 +21,7 @@ OFF, AWAY = 0.45, 0.8  # m aside and m along: as much off its place as half a st
 LEARN = 0.04  # share of a look that is new at each sight; of a height, where head and feet show
 QUICK = 1.3  # m/s: nobody is taken to walk faster
 TRAIL = 80  # sights that are remembered
+LIGHT = 0.5  # share of how clothes look just now that is new at each sight
 SPAN = 1.0  # s of its trail by which its velocity is told
 
 
@@ -32,6 +33,7 @@ class Sighting:
         place: (x, y) [m] in the frame of the agent's odometry.
         time: when [s].
         look: of its clothes, learned since the first view.
+        lately: how they looked at the last sights, in the light there.
         tall: [m].
         velocity: (x, y) [m/s] then.
         bearing, distance: from the agent then [rad, left positive; m].
@@ -41,6 +43,7 @@ class Sighting:
     place: tuple[float, float]
     time: float
     look: tuple[float, ...]
+    lately: tuple[float, ...]
     tall: float = TALL
     velocity: tuple[float, float] = (0.0, 0.0)
     bearing: float = 0.0
@@ -66,8 +69,10 @@ def unlikeness(
     """How little a box is like the person last seen; beyond 1 it is somebody else.
 
     While the sight is fresh, place and colours count; later colours alone, wherever somebody is.
+    Colours are those of the first view or of late: the same clothes are others in another light.
     """
-    colours = looks_apart(box.look, last.look) / STRANGE
+    apart = (looks_apart(box.look, look) for look in (last.look, last.lately))
+    colours = min(apart) / STRANGE
     age = time - last.time
     if age > FRESH:
         return colours
@@ -118,9 +123,10 @@ class PersonTracker:
             tall = seen if last is None else tall + 0.1 * (seen - tall)
         bearing, distance = view.bearing(box), view.distance(box, tall)
         place = agent_to_world(pose, distance * math.cos(bearing), distance * math.sin(bearing))
-        look, turning, leaving = box.look, 0.0, 0.0
+        look, lately, turning, leaving = box.look, box.look, 0.0, 0.0
         if last is not None:
-            look = tuple(a + LEARN * (b - a) for a, b in zip(last.look, box.look, strict=True))
+            look = _mix(last.look, box.look, LEARN)
+            lately = _mix(last.lately, box.look, LIGHT)
             gap = time - last.time
             if 0 < gap <= FRESH / 2:
                 before = seen_from(pose, last.place)  # what the agent itself did left out
@@ -128,7 +134,7 @@ class PersonTracker:
                 leaving = (distance - before[1]) / gap
         self.trail = [*self.trail[-TRAIL:], (time, *place)]
         self.last = Sighting(
-            place, time, look, tall, self._velocity(), bearing, distance, turning, leaving
+            place, time, look, lately, tall, self._velocity(), bearing, distance, turning, leaving
         )
 
     def _velocity(self) -> tuple[float, float]:
@@ -141,3 +147,7 @@ class PersonTracker:
         speed = math.hypot(x1 - x0, y1 - y0) / span
         shrink = min(1.0, QUICK / max(speed, 1e-9)) / span
         return (x1 - x0) * shrink, (y1 - y0) * shrink
+
+
+def _mix(old: tuple[float, ...], new: tuple[float, ...], share: float) -> tuple[float, ...]:
+    return tuple(a + share * (b - a) for a, b in zip(old, new, strict=True))

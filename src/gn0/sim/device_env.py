@@ -36,16 +36,13 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_eyes import (
-    AgentsThere,
-    device_reader,
-    refuse_host_sensors,
-)
+from gn0.sim.device_eyes import device_reader, refuse_host_sensors
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
 from gn0.sim.device_people import CompanyDevice
 from gn0.sim.device_sight import admit_people, open_eyes
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
+from gn0.sim.device_there import AgentsThere
 from gn0.sim.device_walkers import WalkersDevice
 from gn0.sim.device_words import LayoutDevice, ObservationsDevice, WordsDevice, rename_words
 from gn0.sim.ego_map import MapView, read_map_view

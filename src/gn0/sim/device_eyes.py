@@ -18,6 +18,7 @@ from gn0.geometry import F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.people.person import PEOPLE_MOST
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import Renderer
@@ -36,6 +37,8 @@ from gn0.sim.device_records import (
     ReducePictures,
 )
 from gn0.sim.device_store import MapPictures
+from gn0.sim.device_there import AgentsThere
+from gn0.sim.device_who import SENSORS, Asked, WhoEyes
 from gn0.sim.ego_map import CONTENTS, EgoSquare, find_front
 from gn0.sim.history import LENGTH, mosaic_size
 from gn0.sim.look_map import add_look, draw_map, find_map
@@ -53,70 +56,6 @@ if TYPE_CHECKING:
 _PIXELS = 256  # threads a block of kernels that have one a pixel
 _WORDS = {16: "lay_mosaics", 4: "lay_mosaics_4", 1: "lay_mosaics_1"}  # kernels by bytes a thread
 _WEIGHT = 22  # bits of the weights of Pillow's box filter
-
-
-class AgentsThere:
-    """Agents on a device; see `gn0.sim.sensor.sensor.AgentsDevice`.
-
-    Args:
-        simulator: in which they are.
-        eyes: theirs; None without pictures.
-        final: where they stood last whose episodes ended with the last step.
-
-    Attributes:
-        pictures: what lies before their eyes, by output.
-    """
-
-    def __init__(
-        self, simulator: SimulatorDevice, eyes: EyesDevice | None, *, final: bool = False
-    ) -> None:
-        self._simulator, self._eyes = simulator, eyes
-        self._final, self._prefix = final, "final_" if final else ""
-        self.pictures: dict[str, DeviceArray] = {}
-        self._maps: dict[str, DeviceArray] = {}
-
-    def output(self, name: str) -> DeviceArray:
-        """What the last step wrote [N, …]."""
-        return self._simulator.outputs[self._prefix + name]
-
-    def ranges(self) -> DeviceArray:
-        """[N, R] m."""
-        simulator = self._simulator
-        found = simulator.final_ranges if self._final else simulator.ranges
-        assert found is not None
-        return found
-
-    def seen(self, output: str) -> DeviceArray:
-        """Pictures of what lies before the eyes [N, H, W, …]."""
-        return self.pictures[output]
-
-    def mosaics(self) -> DeviceArray:
-        """Mosaics of earlier views [N, H, W, 3]."""
-        assert self._eyes is not None
-        views = self.output("views") if self._final else self._simulator.views
-        return self._eyes.mosaics(self._simulator, self._prefix, views)
-
-    def goal_pictures(self) -> DeviceArray:
-        """What goals look like [N, H, W, 3]."""
-        assert self._eyes is not None
-        if self._final:
-            return self._eyes.last_goal_pictures(self._simulator)
-        return self._eyes.goal_pictures(self._simulator, self.output("episode").numpy())
-
-    def map_pictures(self, name: str) -> DeviceArray:
-        """Pictures bev or occupancy [N, Hb, Wb, 3]."""
-        assert self._eyes is not None
-        if not self._maps:
-            slots = self.output("slot") if self._final else self._simulator.state["slot"]
-            poses = self.output("pose")
-            self._maps = self._eyes.map_pictures(self._simulator, self._prefix, slots, poses)
-        return self._maps[name]
-
-    def ego_maps(self) -> DeviceArray:
-        """Maps around the agents, their headings up, side by side [N, H, W, 3]."""
-        assert self._eyes is not None
-        slots = self.output("slot") if self._final else self._simulator.state["slot"]
-        return self._eyes.ego_maps(self._simulator, self._prefix, slots, self.output("pose"))
 
 
 class EyesDevice:
@@ -187,6 +126,9 @@ class EyesDevice:
         self._kept: dict[str, DeviceArray] = {}
         self._goal_numbers: NDArray[np.int32] | None = None  # whose goal pictures are kept
         self._motion, self.people = motion, people
+        self._who: WhoEyes | None = None
+        if people is not None and SENSORS.intersection(s.name for s in carried.sensors):
+            self._who = WhoEyes(renderer, config.preset.rgb)
         if motion is not None and renderer is not None:
             for name, cloud in motion.clouds.items():
                 renderer.name_cloud(name, cloud)
@@ -292,10 +234,10 @@ class EyesDevice:
         agents = AgentsThere(simulator, self)
         shown = [one for one in self._sensors if one[0] not in self._muted]
         if self._outputs and (self._carried.views or any(draws for _, draws, _ in shown)):
-            views, looks, chosen = self._ask(simulator)
-            there = isinstance(views, DeviceArray)
-            parts = self._place_parts(simulator, there=there)
-            agents.pictures = self._look(simulator, views, looks, chosen, parts)
+            asked = Asked(*self._ask(simulator))
+            there = isinstance(asked.views, DeviceArray)
+            asked = asked._replace(parts=self._place_parts(simulator, there=there))
+            agents.asked, agents.pictures = asked, self._look(simulator, *asked)
             self._rgb = agents.pictures.get("rgb")
         out = {name: read(agents) for name, _, read in shown}
         assert all(len(value) == simulator.count for value in out.values())
@@ -329,6 +271,17 @@ class EyesDevice:
                 out[name] = read(last)
         return out
 
+    def tell_who(
+        self, simulator: SimulatorDevice, asked: Asked | None
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """Who is who before agents, see `gn0.sim.sensor.who`; nobody where nothing was `asked`."""
+        camera = self.config.preset.rgb
+        picture = self._array(simulator, "who", (camera.height, camera.width), np.uint8)
+        table = self._array(simulator, "seen", (PEOPLE_MOST, 6), np.float32)
+        if self._who is not None and asked is not None:
+            self._who.tell(simulator, asked, picture, table)
+        return picture, table
+
     def bytes_of(self, count: int, final: bool = False) -> int:
         """Bytes that the picture arrays of `count` agents take beside what the renderer gives.
 
@@ -341,6 +294,9 @@ class EyesDevice:
             tiles = each  # all of them are in it
         if self._map_shape is not None:
             each += len(self._painted) * self._map_shape[0] * self._map_shape[1] * 3
+        if SENSORS.intersection(s.name for s in self._carried.sensors):
+            camera = self.config.preset.rgb
+            each += camera.height * camera.width + PEOPLE_MOST * 6 * 4
         if "ego_map" in self._carried.maps:
             width, height = self.config.map_view.picture_size
             each += width * height * 3

@@ -142,7 +142,7 @@ SOURCE = KernelSource(
         *((f"EGO_C{k}", value) for k, value in enumerate(SERIES)),
     ),
 )
-_PEOPLE = ("world", "step", "reach", "weigh", "detour", "tick", "crowd", "follow", "shown")
+_PEOPLE = "world step reach weigh detour tick crowd follow shown who".split()
 PEOPLE = KernelSource(
     "people",
     tuple(KERNELS / f"{part}.cu" for part in _PEOPLE),

@@ -1,8 +1,8 @@
 """What the kernels of batched simulation are given, by name; see `gn0.device.records`.
 
 Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu`, `place.cu`, `expert.cu`,
-`crowd.cu`, `follow.cu` and `shown.cu`; `w`, `c`, `f` are the structs `World`, `Crowd`, `Following`
-of `device_layout`, `out` the struct `Outputs` where it is no array.
+`crowd.cu`, `follow.cu`, `shown.cu` and `who.cu`; `w`, `c`, `f` are the structs `World`, `Crowd`,
+`Following` of `device_layout`, `out` the struct `Outputs` where it is no array.
 """
 
 from __future__ import annotations
@@ -450,3 +450,24 @@ class LabelWays(NamedTuple):
     slots: np.int32
     waypoints: DeviceArray
     valid: DeviceArray
+
+
+class NamePeople(NamedTuple):
+    """`name_people`: persons instead of instances."""
+
+    numbers: DeviceArray
+    persons: DeviceArray
+    places: np.int32
+    pixels: np.uint64
+    size: np.uint64
+    out: DeviceArray
+
+
+class TellSeen(NamedTuple):
+    """`tell_seen`: what is seen of each person."""
+
+    seen: DeviceArray
+    persons: DeviceArray
+    places: np.int32
+    size: np.int32
+    out: DeviceArray

@@ -15,8 +15,9 @@ from gn0.device.device import DeviceArray
 from gn0.geometry import F64, Pose2D
 from gn0.missions.episode import Episode
 from gn0.sim.batch import check_actions
-from gn0.sim.device_eyes import AgentsThere, EyesDevice
+from gn0.sim.device_eyes import EyesDevice
 from gn0.sim.device_state import STEPS_MAX, SimulatorDevice
+from gn0.sim.device_there import AgentsThere
 from gn0.sim.sensor.sensor import MAP_SIDE, AgentsDevice
 from gn0.sim.state import Action, Observation
 from gn0.sim.walkers import Flags, Numbers, Stand, build_observations, spelt_sensors

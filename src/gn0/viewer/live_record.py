@@ -16,7 +16,7 @@ from PIL import Image
 
 from gn0.bench.company_watch import FollowReferee
 from gn0.bench.follow_metrics import FollowMetrics
-from gn0.bench.report_follow import END_WORDS
+from gn0.bench.report_follow import tell_end
 from gn0.bench.results import EpisodeResult
 from gn0.bench.walk_recording import WalkRecorder
 from gn0.errors import EpisodeError
@@ -42,6 +42,7 @@ RULES = (
     "**I** forward · **J** left · **L** right · **V** next map · **N** next episode"
 )
 
+RULES_PEOPLE = "People move only while you act: turn to and fro to let somebody pass."
 RULES_FOLLOW = (
     "Follow whom the task says. **Wait** stands still for one action; people move only while you "
     "act. The walk ends by itself, and is scored: when the person has arrived, when you touched "
@@ -142,6 +143,8 @@ class RecordView:
         told = "goal_picture" in self.recorder.sensors
         self._goal = gui.add_image(blank, format="jpeg") if told else None
         gui.add_markdown(RULES_FOLLOW if self._follows else RULES)
+        if not self._follows and any(e.people for e in self.recorder.suite.episodes):
+            gui.add_markdown(RULES_PEOPLE)
         for label, key, work in (
             ("Agent: forward", "I", partial(self.move, "forward")),
             ("Agent: left", "J", partial(self.move, "left")),
@@ -327,7 +330,7 @@ def tell_result(result: EpisodeResult | None) -> str:
     if isinstance(result.follow, FollowMetrics):
         f = result.follow
         return (
-            f"**{'Success' if f.success else 'No success'}:** ended by {END_WORDS[f.end]} · "
+            f"**{'Success' if f.success else 'No success'}:** {tell_end(f.end, f.success)} · "
             f"{100 * f.following_rate:.0f} % followed · {f.distance_error:.2f} m off the distance "
             f"to keep · {f.steps} steps, {f.losses} losses"
         )

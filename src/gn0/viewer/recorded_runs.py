@@ -19,7 +19,7 @@ from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.metrics import METRICS
 from gn0.bench.people_replay import PeopleStill
 from gn0.bench.report import RunData, find_suite, load_run
-from gn0.bench.report_follow import END_WORDS
+from gn0.bench.report_follow import tell_end
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
@@ -238,7 +238,7 @@ def _outcome(result: EpisodeResult | None) -> str:
     if result.success:
         return "**success**"
     if isinstance(result.follow, FollowMetrics):
-        return f"ended by {END_WORDS[result.follow.end]}"
+        return tell_end(result.follow.end, False)
     return "stopped too far" if result.stopped else "no stop"
 
 

@@ -145,6 +145,10 @@ def test_slots_of_the_table_on_the_device(want: list[bytes]) -> None:
     which = device.upload(np.array([0, 1, 1, 0], np.int32))
     drawn = batch.draw(CAMERA, device.upload(VIEWS), ["a", "b"], chosen=which, parts=there)
     assert as_bytes(drawn) == want
+    who = batch.draw_who(CAMERA, device.upload(VIEWS), ["a", "b"], chosen=which, parts=there)
+    told, host = who.fetch([3] * 4), batch.render_who(CAMERA, VIEWS, KEYS, parts=PARTS)
+    assert (told.numbers == host.numbers).all() and told.numbers.any()
+    assert [row[: len(PARTS[v])] for v, row in enumerate(told.seen)] == host.seen
     chosen[0, 0] = 7  # a slot that nobody has filled
     wrong = replace(there, chosen=device.upload(chosen.ravel()))
     with pytest.raises(RenderError, match=r"instance 0.*of no cloud that is here"):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.geometry import F32, F64
+from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.calls import Call, Record, RecordedCalls, name_call
@@ -23,7 +23,7 @@ from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.depth import scale_on_device
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.floors import Arranged, arrange_floors
-from gn0.render.cuda.instances import NO_PART, Instances
+from gn0.render.cuda.instances import Instances
 from gn0.render.cuda.named import NamedClouds
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.cuda.parts import (
@@ -46,6 +46,7 @@ from gn0.render.cuda.request import (
 )
 from gn0.render.cuda.store import CloudStore, Load
 from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
+from gn0.render.cuda.who import WhoDevice, count_all, draw_alone, empty_who
 from gn0.render.instance import Parts, PartsDevice, check_parts
 from gn0.render.renderer import (
     ALONE,
@@ -58,7 +59,7 @@ from gn0.render.renderer import (
     check_views,
 )
 from gn0.render.visible_places import VisibleOptions
-from gn0.render.who import WhoPictures, judge_seen
+from gn0.render.who import WhoPictures
 
 _SETS_SHARE = 0.1  # of the memory that is free at the start, for visible sets
 _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
@@ -385,11 +386,7 @@ class RendererBatch:
                 if there is not None:
                     return there
             if isinstance(views, DeviceArray):
-                poses = check_views(views.numpy())
-                if isinstance(numbers, DeviceArray):
-                    numbers = numbers.numpy()
-                keys = choose_keys(named, [0] * len(poses) if numbers is None else numbers.tolist())
-                moving = None if moving is None else moving.fetch(len(poses))
+                poses, keys, moving = self._fetch(views, named, numbers, moving)
             assert isinstance(poses, np.ndarray)
             return self._render(
                 camera, poses, name_all(keys), tails, moving, outputs, background, visible
@@ -404,55 +401,73 @@ class RendererBatch:
         parts: Parts,
         visible: bool = False,
     ) -> WhoPictures:
+        """As `draw_who`, in host memory.
+
+        Raises:
+            RenderError, DeviceError: see `draw`.
+        """
+        matrices = check_views(views)
+        counts = [len(row) for row in check_parts(parts, len(matrices))]
+        return self.draw_who(camera, matrices, keys, parts=parts, visible=visible).fetch(counts)
+
+    def draw_who(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating] | DeviceArray,
+        keys: Sequence[str | None] | str = ALONE,
+        *,
+        chosen: DeviceArray | None = None,
+        parts: Parts | PartsDevice,
+        visible: bool = False,
+    ) -> WhoDevice:
         """Which instance each pixel shows, and how much of each is seen; arguments as for `draw`.
 
-        Scenes need no labels. Each instance is also drawn alone: for measures and truth.
+        Scenes need no labels. Each instance is also drawn alone: for measures and truth. The host
+        arranges it, and waits for views and instances that are on the device.
 
         Raises:
             RenderError, DeviceError: see `draw`.
         """
         with lock_of(self.device):
-            matrices = check_views(views)
-            count, shape = len(matrices), (camera.height, camera.width)
-            moving = self._place_parts(parts, matrices)
-            rows = check_parts(parts, count)
-            numbers = np.zeros((count, *shape), np.uint32)
+            if isinstance(views, DeviceArray):
+                moving = self._place_parts(parts, views)
+                named, numbers = check_chosen(views, keys, chosen)
+                matrices, keys, moving = self._fetch(views, named, numbers, moving)
+            else:
+                matrices = check_views(views)
+                moving = self._place_parts(parts, matrices)
+            count, size = len(matrices), (camera.height, camera.width)
             if moving is None:
-                return WhoPictures(numbers, [[] for _ in range(count)])
+                return empty_who(self.device, count, size, 0)
             found = self._render(
-                *(camera, matrices, keys, None, moving, ("instance",), None, visible), who=True
+                *(camera, matrices, name_all(keys), None, moving, ("instance",), None, visible),
+                who=True,
             )
             assert found.instance is not None
-            numbers[:] = found.instance.numpy()
-            shown = np.flatnonzero(moving.chosen != NO_PART)
-            whose = shown // (len(moving) // count)  # as many of each view
-            alone = self._draw_alone(camera, matrices[whose], moving.take(shown))
-        ends = np.cumsum([len(row) for row in rows])
-        return WhoPictures(
-            numbers,
-            [
-                judge_seen(numbers[v], list(alone[end - len(row) : end]))
-                for v, (row, end) in enumerate(zip(rows, ends.tolist(), strict=True))
-            ],
-        )
+            nobody = empty_who(self.device, 0, size, len(moving))
+            who = nobody._replace(numbers=found.instance)
 
-    def _draw_alone(self, camera: Camera, matrices: F64, one_each: Instances) -> F32:
-        """Opacities [V, H, W] of one instance a view, with nothing around it."""
-        pictures = self._with_room(
-            lambda: self.drawer.pictures(camera, len(matrices), ("alpha",)), (), []
-        )
-        self._with_room(
-            lambda: self.drawer.draw(
-                *(camera, matrices, [None], np.zeros(len(matrices), np.int32)),
-                instances=one_each,
-                pictures=pictures,
-                background=np.zeros(3, np.float32),
-                antialiased=self.options.antialiased,
-            ),
-            *((), []),
-        )
-        assert pictures.alpha is not None
-        return pictures.alpha.numpy()
+            def draw_one(rows: NDArray[np.int64], one_each: Instances) -> DeviceArray:
+                look, options = matrices[rows], self.options
+                attempt = partial(draw_alone, self.drawer, camera, look, one_each)
+                return self._with_room(partial(attempt, options.antialiased), (), [])
+
+            count_all(self.device, who, moving, count, draw_one)
+            return who
+
+    def _fetch(
+        self,
+        views: DeviceArray,
+        named: list[str | None],
+        numbers: NDArray[np.int32] | DeviceArray | None,
+        moving: Instances | None,
+    ) -> tuple[F64, list[str | None], Instances | None]:
+        """Views, the key of each and instances, for the host to arrange; waits for them."""
+        poses = check_views(views.numpy())
+        if isinstance(numbers, DeviceArray):
+            numbers = numbers.numpy()
+        keys = choose_keys(named, [0] * len(poses) if numbers is None else numbers.tolist())
+        return poses, keys, None if moving is None else moving.fetch(len(poses))
 
     def _place_parts(
         self, parts: Parts | PartsDevice, views: NDArray[np.floating] | DeviceArray

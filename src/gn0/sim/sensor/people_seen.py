@@ -15,4 +15,5 @@ SENSOR = Sensor(
     draws=frozenset({"depth"}),  # a renderer is needed
     tells="labels",
     read=lambda here: here.who()[1],
+    device=lambda agents: agents.who()[1],
 )

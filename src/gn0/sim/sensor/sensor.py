@@ -249,6 +249,10 @@ class AgentsDevice(Protocol):
         """Mosaics of earlier views [N, H, W, 3]."""
         ...
 
+    def who(self) -> tuple[DeviceArray, DeviceArray]:
+        """Person numbers [N, H, W], and what is seen of each [N, 16, 6]."""
+        ...
+
     def goal_pictures(self) -> DeviceArray:
         """What goals look like [N, H, W, 3]."""
         ...

@@ -23,4 +23,5 @@ SENSOR = Sensor(
     draws=_DRAWN,
     tells="labels",
     read=lambda here: here.who()[0],
+    device=lambda agents: agents.who()[0],
 )

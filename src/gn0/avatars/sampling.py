@@ -225,8 +225,9 @@ def _own(  # type: ignore[no-untyped-def]
 ):
     """Number of the nearest kept point of each candidate, of those on its side if there is one.
 
-    `rows` are places and normals of candidates by cell [N, 6]. Candidates of one cell look at the same points, in the order in which those are away from its
-    middle, and stop where no other can be nearer.
+    `rows` are places and normals of candidates by cell [N, 6]. Candidates of one cell look at the
+    same points, in the order in which those are away from its middle, and stop where no other can
+    be nearer.
     """
     head, after = np.full(len(begin) - 1, -1, np.int64), np.empty(len(keep), np.int64)
     for k in range(len(keep)):
@@ -251,6 +252,8 @@ def _own(  # type: ignore[no-untyped-def]
                 away[j], who[j] = d, k
                 count += 1
                 k = after[k]
+        if count == 0:  # all have moved away: theirs is whose they were
+            continue
         for j in range(count):
             for x in range(3):
                 near[j, x] = place[keep[who[j]], x]

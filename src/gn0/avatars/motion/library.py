@@ -39,6 +39,7 @@ from gn0.avatars.motion.standing import (
     plan_sitting_down,
 )
 from gn0.avatars.motion.stepping import (
+    Steps,
     plan_aside,
     plan_pivot,
     plan_settle,
@@ -245,7 +246,7 @@ class ClipLibrary:
         second: tuple[str, float, float],
         share: float,
         *,
-        steps: bool = False,
+        steps: Steps | None = None,
     ) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m between two clips, each (name, at, speed).
 
@@ -256,7 +257,7 @@ class ClipLibrary:
             first: clip that is left.
             second: clip that is taken up.
             share: of the way, 0 to 1.
-            steps: feet that stand elsewhere step there one after the other, and do not slide.
+            steps: how feet that stand elsewhere step there, instead of sliding.
 
         Raises:
             DataError: no clip of that name.
@@ -265,8 +266,11 @@ class ClipLibrary:
         for name, at, speed in (first, second):
             clip = self.clip(name, speed)
             plans.append(_between(clip, at))
-        mix = step_plans if steps else mix_plans
-        poses, shift = solve_plan(self.build, mix(plans[0], plans[1], share))
+        if steps is None:
+            mixed = mix_plans(plans[0], plans[1], share)
+        else:
+            mixed = step_plans(self.build, plans[0], plans[1], share, steps)
+        poses, shift = solve_plan(self.build, mixed)
         return poses[0], shift[0]
 
     def aligned_phase(self, phase: float, speed: float, other: float) -> float:

@@ -250,7 +250,7 @@ def plan_aside(build: Build, style: Style, side: int, way: float = 0.4) -> Plan:
 
 
 PIVOT = np.pi / 4  # that a body turns while both feet step once [rad]
-PIVOT_ROWS = 32  # of a pivot, and one more at its end
+PIVOT_ROWS = 60  # of a pivot, and one more at its end
 SETTLE_ROWS = 8  # in which feet step after a body that stopped at any of those
 _SWINGS = ((0.06, 0.46), (0.54, 0.94))  # of a pivot, of the foot that goes first and the other
 _PIVOT_LIFT = 0.035  # m
@@ -277,7 +277,7 @@ def plan_settle(build: Build, style: Style, side: int) -> Plan:
     away = np.abs(facing - turned[:, None]) + 10.0 * lift
     late = (away < away[:, ::-1]) | ((away == away[:, ::-1]) & [False, True])
     u = np.clip(2.0 * since[:, None] - late, 0.0, 1.0)
-    goes = np.abs(facing - turned[:, None]) > 0.02
+    goes = np.abs(facing - turned[:, None]) > 1e-3
     facing = facing + ease(1.4 * u - 0.2) * (turned[:, None] - facing)
     step = 0.8 * _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * goes
     lift = np.maximum(lift * (1.0 - ease(u)), step)
@@ -305,13 +305,47 @@ def _turn_on(build: Build, style: Style, side: int, turned: F64, facing: F64, li
     )  # fmt: skip
 
 
-def step_plans(first: Plan, second: Plan, share: float) -> Plan:
+@dataclass(frozen=True)
+class Steps:
+    """How feet step from a walk to where somebody stands, or from there into a walk.
+
+    Attributes:
+        early: foot that goes first, 0 left and 1 right.
+        stops: whether the walk is what ends.
+        stood: how far before the body feet of who stands are [m].
+        turned: how far the body is turned on feet of a walk that ends, to the left [rad].
+    """
+
+    early: int
+    stops: bool
+    stood: float
+    turned: float
+
+
+def _turn_feet(plan: Plan, turned: float) -> Plan:
+    """The plan on feet that its body has turned on."""
+    back = about_axis("y", np.full((len(plan), 2), -turned))
+    ankles = np.einsum("tkab,tkb->tka", matrices_of(back), plan.ankles)
+    knees = plan.knees - 0.7 * turned
+    return replace(plan, ankles=ankles, feet=multiply(back, plan.feet), knees=knees)
+
+
+def _move_feet(plan: Plan, stood: float, turned: float) -> Plan:
+    """The plan on feet that are before where its body was ahead [m], before it turned."""
+    way = stood * np.array([-np.sin(turned), 0.0, np.cos(turned)])
+    return replace(plan, ankles=plan.ankles + way)
+
+
+def step_plans(build: Build, first: Plan, second: Plan, share: float, steps: Steps) -> Plan:
     """The `share` (0..1) of the way between plans [1], one foot after the other, and lifted."""
+    if steps.stops:
+        first = _turn_feet(first, steps.turned)
+        second = _move_feet(second, steps.stood, steps.turned)
+    else:
+        first = _move_feet(first, steps.stood, 0.0)
+    early = steps.early
     mixed = mix_plans(first, second, share)
     away = np.linalg.norm((second.ankles - first.ankles)[0], axis=1)
-    early = 0 if bool(first.stands[0, 0]) < bool(first.stands[0, 1]) else 1
-    if first.stands[0, 0] == first.stands[0, 1]:
-        early = int(away[1] > away[0])
     for k in (0, 1):
         u = float(np.clip(2.0 * share - (k != early), 0.0, 1.0))
         foot = mix_plans(first, second, float(ease(np.asarray(u))))
@@ -319,4 +353,6 @@ def step_plans(first: Plan, second: Plan, share: float) -> Plan:
             getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]
         lift = _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * min(away[k] / 0.05, 1.0)
         mixed.ankles[:, k, 1] += lift
-    return mixed
+    pelvis = mixed.pelvis.copy()
+    pelvis[:, 1] = np.minimum(pelvis[:, 1], highest_pelvis(build, mixed, 0.998))
+    return replace(mixed, pelvis=pelvis)

@@ -40,7 +40,7 @@ def test_a_foot_that_slides_is_seen() -> None:
     foot[:, :, 2] = 0.003 * np.arange(11)[:, None]
     meeting = meet_floor([foot], 10.0)
     assert np.allclose(meeting.slides, 0.03) and meeting.lowest == 0.0
-    assert not len(meet_floor([foot + [0.0, 0.01, 0.0]], 10.0).slides)
+    assert not len(meet_floor([np.add(foot, (0.0, 0.01, 0.0))], 10.0).slides)
 
 
 def test_files_come_over_whole_and_are_written_whole(shared_data: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ _MODULES = (
     "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "dagger",
     "dapo", "episode_rl", "training_state", "people_dress", "people_looks", "people_sim",
     "people_words", "people_follow", "people_bench", "people_render", "people_render_cuda",
-    "people_mesh",
+    "people_mesh", "people_motion",
 )  # fmt: skip
 
 

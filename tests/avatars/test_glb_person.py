@@ -115,3 +115,9 @@ def test_a_person_stands_in_t_pose_with_its_own_bones(tmp_path: Path) -> None:
 def test_what_is_no_person_is_refused(tmp_path: Path, change: Any, reason: str) -> None:
     with pytest.raises(FormatError, match=reason):
         load_glb_person(write_person(tmp_path / "bad.glb", change), count=1000)
+
+
+def test_no_disc_of_a_real_figure_stands_out(shared_data) -> None:
+    """Of candidates whose points had moved away some fell to a point far off: a line in the air."""
+    robot = load_glb_person(shared_data / "humans/rigged/RobotExpressive/RobotExpressive.glb")
+    assert len(robot) > 20_000 and robot.scales.max() < 0.02

@@ -6,7 +6,6 @@ import numpy as np
 
 from gn0.avatars.avatar import TO_WORLD
 from gn0.avatars.bank import digest_avatar
-from gn0.avatars.motion.standing import ease
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import pose_joints
 from gn0.people.cast import Actor
@@ -14,7 +13,7 @@ from gn0.people.crowd import build_walls, empty_crowd, place_people, step_crowd
 from gn0.people.person import EpisodePerson, PersonStop
 from gn0.people.reach import HX, HY
 from gn0.people.route import build_routes
-from gn0.people.shown import show_person
+from gn0.people.shown import show_person, turn_shown
 from gn0.scenes import build_example_scene
 from gn0_trials.people_small import small_person
 
@@ -24,7 +23,6 @@ FEET = [[INDEX[f"{side}_{joint}"] for joint in ("ankle", "foot")] for side in ("
 def test_feet_stay_where_they_stand_while_a_body_turns() -> None:
     avatar = small_person()
     actor = Actor("somebody", digest_avatar(avatar), (avatar,) * 4)
-    library = actor.library(0.0)
     person = EpisodePerson(
         number=1, identity="drawn:3:0", path=((1.3, 2.5), (3.4, 2.5)), speed=0.8, after="back",
         stops=(
@@ -40,15 +38,7 @@ def test_feet_stay_where_they_stand_while_a_body_turns() -> None:
         before = state.real[0, 0, [HX, HY]].copy()
         step_crowd(state, routes, walls, nobody)
         shown, pose = show_person(person, actor, state.real[0, 0], state.whole[0, 0], None)
-        at = shown.frame / (64.0 if shown.clip == "walk" else 30.0)
-        if shown.other:
-            was = shown.other_frame / (64.0 if shown.other == "walk" else 30.0)
-            share = float(ease(np.asarray(shown.quarter / 4)))
-            angles, shift = library.blend_at(
-                (shown.other, was, 0.8), (shown.clip, at, 0.8), share, steps=True
-            )
-        else:
-            angles, shift = library.pose_at(shown.clip, at, 0.8)
+        angles, shift = turn_shown(actor, shown)
         _, joints = pose_joints(avatar.joints, angles, shift)
         places.append(joints @ TO_WORLD.T @ pose[:3, :3].T + pose[:3, 3])
         turning.append(bool((before != state.real[0, 0, [HX, HY]]).any()))

@@ -95,47 +95,32 @@ def spread_points(
     keep = _throw(place, least)
     if not len(keep):
         return replace(points.select(keep), cell=np.empty((0, 3, 3)))
-    cell, low, size = _grid(place, least)
-    owner = np.empty(len(place), np.int64)
+    side, low, size = _grid(place, least)
+    cells = _sort_cells(place, low, side, size, np.zeros(size.prod(), np.int32))
+    owner, rows = np.empty(len(place), np.int64), np.hstack([place, normal])[cells[1]]
     for _ in range(_ROUNDS):
-        _own(place, normal, keep, low, cell, size, owner)
+        _own(rows, place, normal, keep, *cells, owner)
         keep = _middles(place, owner, keep)
-    _own(place, normal, keep, low, cell, size, owner)
+    _own(rows, place, normal, keep, *cells, owner)
     return replace(points.select(keep), cell=_moments(place, owner, keep, points.spacing[keep]))
 
 
 def _grid(points: F64, least: F64) -> tuple[float, F64, NDArray[np.int64]]:
     """Side, lower corner and size of a grid whose cells are no smaller than any distance."""
     cell = float(least.max())
-    low = points.min(axis=0)
-    return cell, low, np.floor((points.max(axis=0) - low) / cell).astype(np.int64) + 1
-
-
-def _middles(place: F64, owner: NDArray[np.int64], keep: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Of each point the candidate in its cell that is nearest to the middle of the cell."""
-    count = np.maximum(np.bincount(owner, minlength=len(keep)), 1)
-    middle = np.stack(
-        [np.bincount(owner, column, minlength=len(keep)) / count for column in place.T], axis=1
-    )
-    away = ((place - middle[owner]) ** 2).sum(axis=1)
-    order = np.lexsort((away, owner))
-    first = np.unique(owner[order], return_index=True)
-    moved = keep.copy()
-    moved[first[0]] = order[first[1]]
-    return moved
+    low = np.array([column.min() for column in points.T])
+    high = np.array([column.max() for column in points.T])
+    return cell, low, np.floor((high - low) / cell).astype(np.int64) + 1
 
 
 def _moments(place: F64, owner: NDArray[np.int64], keep: NDArray[np.int64], spacing: F64) -> F64:
     """Second moments [N, 3, 3] of cells, half of them those of a square of a side of `spacing`."""
-    away = place - place[keep][owner]
-    count = np.maximum(np.bincount(owner, minlength=len(keep)), 1)
-    round_one = spacing**2 / 12.0
-    moments = np.empty((len(keep), 3, 3))
+    own = _second_moments(place, owner, keep)
+    own[:] = _TRUST * own
     for i in range(3):
         for j in range(3):
-            own = np.bincount(owner, away[:, i] * away[:, j], minlength=len(keep)) / count
-            moments[:, i, j] = _TRUST * own + (1.0 - _TRUST) * round_one * (i == j)
-    return moments
+            own[:, i, j] += (1.0 - _TRUST) * (spacing**2 / 12.0) * (i == j)
+    return own
 
 
 def _throw(points: F64, least: F64) -> NDArray[np.int64]:
@@ -144,13 +129,13 @@ def _throw(points: F64, least: F64) -> NDArray[np.int64]:
         return np.zeros(0, np.int64)
     cell, low, size = _grid(points, least)
     kept = np.empty(len(points), np.int64)
-    count = _darts(points, least, low, cell, size, kept)
+    count = _darts(points, least, low, cell, size, np.zeros(size.prod(), np.int32), kept)
     return kept[:count]
 
 
 @njit
-def _darts(points, least, low, cell, size, kept):  # type: ignore[no-untyped-def]
-    head = np.full(size[0] * size[1] * size[2], -1, np.int64)
+def _darts(points, least, low, cell, size, head, kept):  # type: ignore[no-untyped-def]
+    # heads are one more than what they name: zeros cost nothing where nobody looks
     after = np.empty(len(points), np.int64)
     count = 0
     for n in range(len(points)):
@@ -162,7 +147,7 @@ def _darts(points, least, low, cell, size, kept):  # type: ignore[no-untyped-def
         for a in range(max(i - 1, 0), min(i + 2, size[0])):
             for b in range(max(j - 1, 0), min(j + 2, size[1])):
                 for c in range(max(k - 1, 0), min(k + 2, size[2])):
-                    other = head[(a * size[1] + b) * size[2] + c]
+                    other = np.int64(head[(a * size[1] + b) * size[2] + c]) - 1
                     while other >= 0 and free:
                         d = (
                             (points[other, 0] - x) ** 2
@@ -179,46 +164,155 @@ def _darts(points, least, low, cell, size, kept):  # type: ignore[no-untyped-def
                 break
         if free:
             here = (i * size[1] + j) * size[2] + k
-            after[n] = head[here]
-            head[here] = n
+            after[n] = np.int64(head[here]) - 1
+            head[here] = n + 1
             kept[count] = n
             count += 1
     return count
 
 
 @njit
-def _own(place, normal, keep, low, cell, size, owner):  # type: ignore[no-untyped-def]
-    """Number of the nearest kept point of each candidate, of those on its side if there is one."""
-    head = np.full(size[0] * size[1] * size[2], -1, np.int64)
-    after = np.empty(len(keep), np.int64)
-    for k in range(len(keep)):
-        x, y, z = place[keep[k]]
-        i = min(int((x - low[0]) / cell), size[0] - 1)
-        j = min(int((y - low[1]) / cell), size[1] - 1)
-        h = (i * size[1] + j) * size[2] + min(int((z - low[2]) / cell), size[2] - 1)
-        after[k] = head[h]
-        head[h] = k
+def _sort_cells(place, low, side, size, number):  # type: ignore[no-untyped-def]
+    """Cells of a grid that hold candidates, and which are around which.
+
+    Returns:
+        cell of each candidate [N], candidates by cell [N], where those of a cell begin [C + 1],
+        cells around a cell, itself among them, where those begin [C + 1], and middles [C, 3] m.
+    """
+    cell, there = np.empty(len(place), np.int64), np.empty((len(place), 3), np.int64)
+    begin = np.zeros(len(place) + 1, np.int64)
+    count = 0
     for n in range(len(place)):
-        x, y, z = place[n]
-        i = min(int((x - low[0]) / cell), size[0] - 1)
-        j = min(int((y - low[1]) / cell), size[1] - 1)
-        m = min(int((z - low[2]) / cell), size[2] - 1)
-        best, least, any_best, any_least = -1, np.inf, 0, np.inf
-        for a in range(max(i - 1, 0), min(i + 2, size[0])):
-            for b in range(max(j - 1, 0), min(j + 2, size[1])):
-                for c in range(max(m - 1, 0), min(m + 2, size[2])):
-                    k = head[(a * size[1] + b) * size[2] + c]
-                    while k >= 0:
-                        q = keep[k]
-                        d = (place[q, 0] - x) ** 2 + (place[q, 1] - y) ** 2 + (place[q, 2] - z) ** 2
-                        if d < any_least:
-                            any_least, any_best = d, k
-                        same = (
-                            normal[q, 0] * normal[n, 0]
-                            + normal[q, 1] * normal[n, 1]
-                            + normal[q, 2] * normal[n, 2]
-                        )
-                        if d < least and same > _SIDE:
-                            least, best = d, k
-                        k = after[k]
-        owner[n] = best if best >= 0 else any_best
+        i = min(int((place[n, 0] - low[0]) / side), size[0] - 1)
+        j = min(int((place[n, 1] - low[1]) / side), size[1] - 1)
+        k = min(int((place[n, 2] - low[2]) / side), size[2] - 1)
+        h = (i * size[1] + j) * size[2] + k
+        if number[h] == 0:
+            there[count, 0], there[count, 1], there[count, 2] = i, j, k
+            count += 1
+            number[h] = count
+        cell[n] = number[h] - 1
+        begin[number[h]] += 1
+    for c in range(count):
+        begin[c + 1] += begin[c]
+    begin = begin[: count + 1]
+    filled, order = begin.copy(), np.empty(len(place), np.int64)
+    for n in range(len(place)):
+        order[filled[cell[n]]] = n
+        filled[cell[n]] += 1
+    around, first = np.empty(27 * count, np.int64), np.zeros(count + 1, np.int64)
+    total = 0
+    for c in range(count):
+        i, j, k = there[c, 0], there[c, 1], there[c, 2]
+        for x in range(max(i - 1, 0), min(i + 2, size[0])):
+            for y in range(max(j - 1, 0), min(j + 2, size[1])):
+                for z in range(max(k - 1, 0), min(k + 2, size[2])):
+                    other = number[(x * size[1] + y) * size[2] + z]
+                    if other > 0:
+                        around[total] = other - 1
+                        total += 1
+        first[c + 1] = total
+    middle = np.empty((count, 3))
+    for c in range(count):
+        for x in range(3):
+            middle[c, x] = low[x] + (there[c, x] + 0.5) * side
+    return cell, order, begin, around, first, middle
+
+
+@njit
+def _own(  # type: ignore[no-untyped-def]
+    rows, place, normal, keep, cell, order, begin, around, first, middle, owner
+):
+    """Number of the nearest kept point of each candidate, of those on its side if there is one.
+
+    `rows` are places and normals of candidates by cell [N, 6]. Candidates of one cell look at the
+    same points, in the order in which those are away from its middle, and stop where no other can
+    be nearer.
+    """
+    head, after = np.full(len(begin) - 1, -1, np.int64), np.empty(len(keep), np.int64)
+    for k in range(len(keep)):
+        after[k] = head[cell[keep[k]]]
+        head[cell[keep[k]]] = k
+    near, away = np.empty((len(keep), 6)), np.empty(len(keep))  # of those around a cell
+    who = np.empty(len(keep), np.int64)
+    for c in range(len(begin) - 1):
+        mx, my, mz = middle[c, 0], middle[c, 1], middle[c, 2]
+        count = 0
+        for at in range(first[c], first[c + 1]):
+            k = head[around[at]]
+            while k >= 0:
+                q = keep[k]
+                d = np.sqrt(
+                    (place[q, 0] - mx) ** 2 + (place[q, 1] - my) ** 2 + (place[q, 2] - mz) ** 2
+                )
+                j = count
+                while j > 0 and away[j - 1] > d:
+                    away[j], who[j] = away[j - 1], who[j - 1]
+                    j -= 1
+                away[j], who[j] = d, k
+                count += 1
+                k = after[k]
+        if count == 0:  # all have moved away: theirs is whose they were
+            continue
+        for j in range(count):
+            for x in range(3):
+                near[j, x] = place[keep[who[j]], x]
+                near[j, 3 + x] = normal[keep[who[j]], x]
+        for at in range(begin[c], begin[c + 1]):
+            x, y, z = rows[at, 0], rows[at, 1], rows[at, 2]
+            u, v, w = rows[at, 3], rows[at, 4], rows[at, 5]
+            out = np.sqrt((x - mx) ** 2 + (y - my) ** 2 + (z - mz) ** 2) * (1.0 + 1e-9)
+            best, least, any_best, any_least, last = -1, np.inf, 0, np.inf, np.inf
+            for j in range(count):
+                if away[j] > last:
+                    break
+                d = (near[j, 0] - x) ** 2 + (near[j, 1] - y) ** 2 + (near[j, 2] - z) ** 2
+                if d < any_least:
+                    any_best, any_least = j, d
+                if d < least and near[j, 3] * u + near[j, 4] * v + near[j, 5] * w > _SIDE:
+                    best, least = j, d
+                    last = out + np.sqrt(d) * (1.0 + 1e-9)
+            owner[order[at]] = who[best] if best >= 0 else who[any_best]
+
+
+@njit
+def _middles(place, owner, keep):  # type: ignore[no-untyped-def]
+    """Of each point the candidate in its cell that is nearest to the middle of the cell."""
+    middle, count = np.zeros((len(keep), 3)), np.zeros(len(keep))
+    for n in range(len(place)):
+        count[owner[n]] += 1.0
+        for x in range(3):
+            middle[owner[n], x] += place[n, x]
+    moved, least = keep.copy(), np.full(len(keep), np.inf)
+    for k in range(len(keep)):
+        for x in range(3):
+            middle[k, x] /= max(count[k], 1.0)
+    for n in range(len(place)):
+        k = owner[n]
+        away = (
+            (place[n, 0] - middle[k, 0]) ** 2
+            + (place[n, 1] - middle[k, 1]) ** 2
+            + (place[n, 2] - middle[k, 2]) ** 2
+        )
+        if away < least[k]:
+            least[k], moved[k] = away, n
+    return moved
+
+
+@njit
+def _second_moments(place, owner, keep):  # type: ignore[no-untyped-def]
+    """Means [N, 3, 3] of the products of the ways from a point to the candidates in its cell."""
+    sums, count = np.zeros((len(keep), 3, 3)), np.zeros(len(keep))
+    for n in range(len(place)):
+        k = owner[n]
+        count[k] += 1.0
+        for i in range(3):
+            for j in range(3):
+                sums[k, i, j] += (place[n, i] - place[keep[k], i]) * (
+                    place[n, j] - place[keep[k], j]
+                )
+    for k in range(len(keep)):
+        for i in range(3):
+            for j in range(3):
+                sums[k, i, j] /= max(count[k], 1.0)
+    return sums

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from gn0.avatars.layer import Fitting, Layer, smooth_normals
 from gn0.avatars.skinning import skin_points
 from gn0.geometry import F64
-from gn0.scenes.rays import RayCaster
+from gn0.scenes.mesh import SceneMesh
+from gn0.scenes.rays import caster_of
 
 GAP = 0.0045  # between two sheets [m]
 _DEEP = 0.035  # how far a vertex may be under [m]
@@ -26,6 +27,7 @@ _STILL = ("eyes", "brows", "lashes", "hair", "hat")
 def separate_layers(layers: Sequence[Layer], fitting: Fitting) -> list[Layer]:
     """The sheets, each pushed out of those that belong under it, in the sculpted pose."""
     done = list(layers)
+    meshes: dict[int, SceneMesh] = {}  # of what lies under, which is in place by then
     for number in sorted(range(len(done)), key=lambda k: done[k].over):
         layer = done[number]
         if layer.part in _STILL or layer.over <= 0:
@@ -37,18 +39,18 @@ def separate_layers(layers: Sequence[Layer], fitting: Fitting) -> list[Layer]:
         moved = posed
         for _ in range(_ROUNDS):
             for k in under:
-                moved = _push_out(moved, layer, done[k], fitting)
+                if k not in meshes:
+                    lies = skin_points(done[k].vertices, done[k].weights, fitting.transforms)
+                    meshes[k] = done[k].mesh(0, lies)
+                moved = _push_out(moved, layer, done[k], meshes[k])
         if moved is not posed:
             done[number] = replace(layer, vertices=fitting.undo(moved, layer.weights))
     return done
 
 
-def _push_out(points: F64, layer: Layer, other: Layer, fitting: Fitting) -> F64:
-    vertices = skin_points(other.vertices, other.weights, fitting.transforms)
-    mesh = other.mesh(0, vertices)
-    caster = RayCaster(mesh)
+def _push_out(points: F64, layer: Layer, other: Layer, mesh: SceneMesh) -> F64:
     normals = smooth_normals(points, layer.triangles)
-    face, t, uv = caster.cast(points - GAP * normals, normals, _DEEP + GAP)
+    face, t, uv = caster_of(mesh).cast(points - GAP * normals, normals, _DEEP + GAP)
     hit = np.flatnonzero(face >= 0)
     if not len(hit):
         return points

@@ -41,6 +41,7 @@ _INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thic
 _SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
 _HEMMED = ("hat", "top", "bottom", "socks", "shoes", "scarf")  # what ends where others go on
 _HEM = 1.6  # how far discs stay from where those end, in their standard deviations
+_COARSE = 0.03  # side of the cells in whose order rays are cast [m]
 _END = 1.5  # standard deviations from its middle where a strand ends
 
 
@@ -112,6 +113,8 @@ class DressedBody:
         counts = over > self.layers[number].over
         if not counts.any():
             return np.zeros(len(points), bool)
+        order = _side_by_side(points)
+        points, normals = points[order], normals[order]
         hidden = np.ones(len(points), bool)
         first = _tangents(normals, np.zeros_like(normals))
         second = np.cross(normals, first)
@@ -122,7 +125,9 @@ class DressedBody:
             start = points[left] + _LIFT * normals[left]
             hidden[left] = self._meets(start, direction, counts, reach)
         inwards = self._meets(points - _LIFT * normals, -normals, counts, np.minimum(reach, _OUT))
-        return hidden | inwards
+        found = np.empty(len(points), bool)
+        found[order] = hidden | inwards
+        return found
 
     def _meets(
         self, start: F64, direction: F64, counts: NDArray[np.bool_], reach: F64
@@ -195,13 +200,14 @@ class DressedBody:
         second = np.cross(outward, first)
         start = points + (0.004 + 0.012 * strand)[:, None] * outward
         free = np.zeros(len(points))
+        order = _side_by_side(points)
         for k in range(_OPEN_RAYS):
             # a spiral of cosine-weighted directions, turned from point to point
             turn = 2.399963 * k + 2.0 * np.pi * ((np.arange(len(points)) * 0.754877666) % 1.0)
             sine = np.sqrt((k + 0.5) / _OPEN_RAYS)
             side = sine * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
             direction = side + np.sqrt(1.0 - sine**2) * outward
-            free += ~caster.occluded(start, direction, _OPEN_REACH)
+            free[order] += ~caster.occluded(start[order], direction[order], _OPEN_REACH)
         return free / _OPEN_RAYS
 
 
@@ -367,6 +373,15 @@ def blended_turns(weights: SkinWeights, transforms: F64) -> F64:
     sign = np.where(np.einsum("nka,na->nk", quats, quats[:, 0]) < 0, -1.0, 1.0)
     blended = np.einsum("nk,nka->na", weights.weight * sign, quats)
     return rotation_from_quaternion(blended / np.linalg.norm(blended, axis=1, keepdims=True))
+
+
+def _side_by_side(points: F64) -> NDArray[np.int64]:
+    """An order [N] in which points follow near ones: rays from there read the same memory."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    cell = np.floor((points - points.min(axis=0)) / _COARSE).astype(np.int64)
+    size = cell.max(axis=0) + 1
+    return np.argsort((cell[:, 1] * size[0] + cell[:, 0]) * size[2] + cell[:, 2], kind="stable")
 
 
 def _along(layer: Layer, vertices: F64, sheet: SheetPoints) -> F64:

@@ -3,7 +3,7 @@
 All that a posed cloud depends on is in a key of few values, so that clouds can be kept: phases of
 64 a cycle, frames of two fifths of a second, quarters of blends, five looks. Who walks is
 drawn where its phase says, at most 1.2 cm from where it is, so that a planted foot stays put. Who
-turns on the spot steps by the angle that is turned, 32 phases for 45 degrees, and is drawn as its
+turns on the spot steps by the angle that is turned, 60 phases for 45 degrees, and is drawn as its
 feet stand.
 """
 
@@ -29,7 +29,7 @@ from gn0.avatars.motion.library import (
     turn_head,
 )
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
-from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS
+from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS, Steps
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.people.cast import Actor
@@ -41,19 +41,24 @@ from gn0.people.reach import (
     FY,
     HX,
     HY,
+    SPEED,
     TURN_SINCE,
     WALK,
     WALKED,
+    X0,
+    Y0,
     X,
     Y,
 )
-from gn0.people.route import I64
+from gn0.people.route import BRAKE, I64
 from gn0.seeds import derive_seed
 
 _STEP = 12  # frames of a clip by time that one is shown for: two fifths of a second
 _BLEND = 4  # ticks that one clip goes over into another
 _PAUSE = 5.0  # s between gestures of who stands
 _NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at
+STOOD = (-48, 15)  # mm, of feet before a body that sets off or stops
+_RIGHT_SWINGS = 0.33  # phase of a walk at which the right foot is in the middle of its swing
 _STRAIGHT = look_class(0.0)
 _BY_ROW = ("walk", *PIVOTS, *SETTLES)
 _Read = tuple[str, float, float]  # a clip, where it is read, and its speed
@@ -68,6 +73,9 @@ class Shown(NamedTuple):
         other, other_frame: what it did before, and there; "" where nothing blends.
         quarter: quarters of the blend that are over.
         speed: class of the walk; look: class of the head's yaw; seat: height [m].
+        early: foot that steps first in a blend, 0 left and 1 right.
+        stood: in a blend, how far before their body the feet of who stands are [mm]: where they
+            stood as he set off, or where he comes to stand.
     """
 
     clip: str
@@ -78,6 +86,8 @@ class Shown(NamedTuple):
     speed: int
     look: int
     seat: float
+    early: int = 0
+    stood: int = 0
 
 
 def show_person(
@@ -96,9 +106,9 @@ def show_person(
     seed = derive_seed(person.seed, "looks")
     since = int(whole[CLIP_SINCE])
     hx, hy = float(real[HX]), float(real[HY])
-    forward, pivot = 0.0, None
+    forward, pivot, at_x, at_y = 0.0, None, real[X], real[Y]
     clip, frame, other, other_frame, quarter = "", 0, "", 0, _BLEND
-    gait = speed_class(person.speed)
+    gait, early, stood = speed_class(person.speed), 0, 0
     if person.behaviour == "sit":
         clip = person.clip or "sit"
         frame = _frame(0.1 * since + 0.1 * (seed % 97))
@@ -123,10 +133,19 @@ def show_person(
             quarter = since + 1
         else:
             other, other_frame = "", 0
-        # who stands is where it is: what the phase of a walk was off by would turn with it
-        walks = min(since + 1, _BLEND) / _BLEND
-        walks = walks if whole[CLIP] == WALK else 1.0 - walks
-        forward = walks * (phase / PHASES - cycles) * stride
+        # who stands is where it is: what the phase of a walk was off by would turn with it; it
+        # comes and goes while no foot of the walk stands
+        part = min(since + 1, _BLEND)
+        walks = min(part, 2) if whole[CLIP] == WALK else min(_BLEND - part, 2)
+        forward = 0.5 * walks * (phase / PHASES - cycles) * stride
+        if other:
+            speed = float(real[SPEED])
+            gone = speed * speed / (2.0 * BRAKE) if clip == "walk" else 0.0
+            at = cycles - gone / stride - _RIGHT_SWINGS
+            early = int(abs(at - math.floor(at) - 0.5) > 0.25)
+            stood = min(max(round(-1e3 * (gone + forward)), STOOD[0]), STOOD[1])
+        elif clip != "walk":  # has begun to move, and is not shown walking yet
+            forward, at_x, at_y = 0.0, real[X0], real[Y0]
     if clip not in GESTURES:  # a frame of a loop, or held at its end
         frame = frame if clip in _BY_ROW else library.clip(clip).row(frame / FPS)
     look = _STRAIGHT
@@ -135,15 +154,18 @@ def show_person(
         yaw = math.atan2(hx * dy - hy * dx, hx * dx + hy * dy)
         if dx * dx + dy * dy < _NEAR * _NEAR and abs(yaw) < _SIDE:
             look = look_class(yaw)
-    if clip in PIVOTS or clip in SETTLES:  # feet stand as they stood, to the row
-        row = frame if clip in PIVOTS else frame // SETTLE_ROWS
-        turn = (1 if clip in (PIVOTS[0], SETTLES[0]) else -1) * row * PIVOT / PIVOT_ROWS
+    ax, ay = hx, hy
+    stands = (clip, frame) if clip != "walk" else (other, other_frame)
+    if stands[0] in PIVOTS or stands[0] in SETTLES:  # feet stand as they stood, to the row
+        turn = _turned(*stands)
         fx, fy, c, s = float(real[FX]), float(real[FY]), math.cos(turn), math.sin(turn)
         hx, hy = fx * c - fy * s, fx * s + fy * c
+        ax, ay = (hx, hy) if clip == "walk" else (fx, fy)
     pose = np.eye(4)
     pose[:2, :2] = (hx, -hy), (hy, hx)
-    pose[0, 3], pose[1, 3] = real[X] + hx * forward, real[Y] + hy * forward
-    return Shown(clip, frame, other, other_frame, quarter, gait, look, person.seat), pose
+    pose[0, 3], pose[1, 3] = at_x + ax * forward, at_y + ay * forward
+    key = (clip, frame, other, other_frame, quarter, gait, look, person.seat, early, stood)
+    return Shown(*key), pose
 
 
 def _pivot(real: F64, whole: I64) -> tuple[str, int] | None:
@@ -157,6 +179,14 @@ def _pivot(real: F64, whole: I64) -> tuple[str, int] | None:
     if settled == 0:
         return PIVOTS[side], row
     return SETTLES[side], row * SETTLE_ROWS + min(settled, SETTLE_ROWS) - 1
+
+
+def _turned(clip: str, frame: int) -> float:
+    """How far a body is turned on its feet in a row of a turn [rad]; 0 in other clips."""
+    if clip not in PIVOTS and clip not in SETTLES:
+        return 0.0
+    row = frame if clip in PIVOTS else frame // SETTLE_ROWS
+    return (1 if clip in (PIVOTS[0], SETTLES[0]) else -1) * row * PIVOT / PIVOT_ROWS
 
 
 def _frame(seconds: float) -> int:
@@ -224,18 +254,22 @@ def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
 def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64]]:
     """The same of many, to the bit; what blends within one library is solved at once."""
     found: dict[int, tuple[F64, F64]] = {}
-    blends: dict[ClipLibrary, dict[int, tuple[_Read, _Read, float]]] = {}
+    blends: dict[ClipLibrary, dict[int, tuple[tuple[_Read, _Read, float], Steps]]] = {}
     for n, (actor, shown) in enumerate(wanted):
         library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
         now = (shown.clip, _at(shown.clip, shown.frame), speed)
         if shown.other:
             before = (shown.other, _at(shown.other, shown.other_frame), speed)
             share = float(ease(np.asarray(shown.quarter / _BLEND)))
-            blends.setdefault(library, {})[n] = before, now, share
+            # feet of a walk stay behind while its body turns on them
+            turned = _turned(shown.clip, shown.frame)
+            steps = Steps(shown.early, shown.clip != "walk", 1e-3 * shown.stood, turned)
+            blends.setdefault(library, {})[n] = (before, now, share), steps
         else:
             found[n] = library.pose_at(*now)
     for library, some in blends.items():
-        poses, shifts = library.blend_all(list(some.values()), steps=True)
+        mixed, stepped = zip(*some.values(), strict=True)
+        poses, shifts = library.blend_all(mixed, steps=stepped)
         found |= zip(some, zip(poses, shifts, strict=True), strict=True)
     for n, (_, shown) in enumerate(wanted):
         if shown.look != _STRAIGHT:

@@ -44,7 +44,9 @@ class RayCaster:
         if not np.isfinite(corners).all():
             raise SceneError("the mesh has vertices that are not finite", remedy="drop them")
         triangles = corners.reshape(-1, 3, 3)
-        lower, upper = triangles.min(axis=1), triangles.max(axis=1)
+        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+        lower = np.minimum(np.minimum(a, b), c)
+        upper = np.maximum(np.maximum(a, b), c)
         boxes, links, order, used = _build_tree(lower, upper)
         self.boxes = np.ascontiguousarray(boxes[:used])
         self.links = np.ascontiguousarray(links[:used])

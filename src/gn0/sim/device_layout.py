@@ -142,7 +142,18 @@ SOURCE = KernelSource(
         *((f"EGO_C{k}", value) for k, value in enumerate(SERIES)),
     ),
 )
-_PEOPLE = "world step reach weigh detour tick crowd follow shown who".split()
+_PEOPLE = (
+    "world",
+    "step",
+    "reach",
+    "weigh",
+    "detour",
+    "tick",
+    "crowd",
+    "follow",
+    "shown",
+    "who",
+)
 PEOPLE = KernelSource(
     "people",
     tuple(KERNELS / f"{part}.cu" for part in _PEOPLE),

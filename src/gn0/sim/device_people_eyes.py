@@ -28,7 +28,7 @@ from gn0.geometry import F32, F64
 from gn0.missions.episode import Episode
 from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson
-from gn0.people.shown import PoseShown, Shown
+from gn0.people.shown import STOOD, PoseShown, Shown
 from gn0.render.instance import PartsDevice
 from gn0.scenes.scene import Scene
 from gn0.seeds import derive_seed
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from gn0.sim.device_state import SimulatorDevice
 
 _NONE = 63  # no clip
-_BITS = (16, 2, 6, 12, 3, 3, 6, 9, 3)  # of a code, from its lowest; `shown.cu` has the same
+_BITS = (16, 2, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
 _BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 _ASIDE, _HIGH = 1.2, 1.5  # m: what of a person may be beside it, and above or below an eye
 _OFFSETS = 97  # by how many ticks people's clips are apart
@@ -196,9 +196,12 @@ class PeopleEyesDevice:
         for bits in _BITS:
             values.append(left & ((1 << bits) - 1))
             left >>= bits
-        role, level, clip, frame, gait, look, other, other_frame, quarter = values
+        role, level, clip, frame, gait, look, other, other_frame, quarter, early, stood = values
         identity, seat = list(self._roles)[role]
         names = list(self._clips)
         before = "" if other == _NONE else names[other]
-        shown = Shown(names[clip], frame, before, other_frame, quarter, gait, look, seat)
+        shown = Shown(
+            names[clip], frame, before, other_frame, quarter or 4, gait, look, seat, early,
+            stood + STOOD[0] if before else 0,
+        )  # fmt: skip
         return PoseShown(self.cast.find(identity), shown, level)

@@ -28,6 +28,7 @@ from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.play import play_motion
 from gn0.avatars.motion.standing import ease
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS
+from gn0.avatars.motion.stepping import Steps
 from gn0.avatars.person import shape_identity
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import SkinWeights, pose_joints, skin_points
@@ -379,15 +380,18 @@ def test_motions_are_played_at_a_rate() -> None:
         play_motion(library.motion("wave"), 5.0, 0.1)
 
 
-@pytest.mark.parametrize("steps", [False, True])
-def test_blends_are_the_same_bits_together_and_alone(steps: bool) -> None:
+STEPS = (Steps(1, True, 0.0, 0.0), Steps(0, False, -0.04, 0.0), Steps(0, True, 0.012, 0.3))
+
+
+@pytest.mark.parametrize("steps", [(), STEPS])
+def test_blends_are_the_same_bits_together_and_alone(steps: tuple[Steps, ...]) -> None:
     library = ClipLibrary(measure_build(STANDING_JOINTS))
     blends = [
         (("walk", 0.3, 1.0), ("idle_1", 0.0, 0.0), 0.25),
         (("pivot_left", 0.4, 0.0), ("walk", 0.7, 1.3), 0.6),
         (("idle_2", 1.1, 0.0), ("wave", 0.4, 0.0), 0.9),
     ]
-    poses, shifts = library.blend_all(blends, steps=steps)
-    for pose, shift, blend in zip(poses, shifts, blends, strict=True):
-        alone = library.blend_at(*blend, steps=steps)
+    poses, shifts = library.blend_all(blends, steps=steps or None)
+    for n, (pose, shift, blend) in enumerate(zip(poses, shifts, blends, strict=True)):
+        alone = library.blend_at(*blend, steps=steps[n] if steps else None)
         assert np.array_equal(pose, alone[0]) and np.array_equal(shift, alone[1])

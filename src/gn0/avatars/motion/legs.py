@@ -187,7 +187,7 @@ def rolled_ankles(build: Build, flat: F64, yaw: F64, pitch: F64) -> F64:
 
     none = np.zeros_like(down)
     heel = np.stack([none, down, none - build.heel + 0.015], axis=-1)
-    hinge = 0.7 * joint[1] + 0.3 * down  # soles slide least about a point below the joint
+    hinge = 0.55 * joint[1] + 0.45 * down  # soles slide least about a point below the joint
     ball = np.stack([none, hinge, none + joint[2]], axis=-1)
     tip = np.stack([none, down, none + build.tip - 0.012], axis=-1)
     # toes are bent up by then, and their skin goes with them in part

@@ -40,6 +40,7 @@ from gn0.avatars.motion.standing import (
     plan_sitting_down,
 )
 from gn0.avatars.motion.stepping import (
+    Steps,
     plan_aside,
     plan_pivot,
     plan_settle,
@@ -246,7 +247,7 @@ class ClipLibrary:
         second: tuple[str, float, float],
         share: float,
         *,
-        steps: bool = False,
+        steps: Steps | None = None,
     ) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m between two clips, each (name, at, speed).
 
@@ -257,19 +258,21 @@ class ClipLibrary:
             first: clip that is left.
             second: clip that is taken up.
             share: of the way, 0 to 1.
-            steps: feet that stand elsewhere step there one after the other, and do not slide.
+            steps: how feet that stand elsewhere step there, instead of sliding.
 
         Raises:
             DataError: no clip of that name.
         """
-        poses, shifts = self.blend_all([(first, second, share)], steps=steps)
+        poses, shifts = self.blend_all(
+            [(first, second, share)], steps=None if steps is None else [steps]
+        )
         return poses[0], shifts[0]
 
     def blend_all(
         self,
         blends: Sequence[tuple[tuple[str, float, float], tuple[str, float, float], float]],
         *,
-        steps: bool = False,
+        steps: Sequence[Steps] | None = None,
     ) -> tuple[F64, F64]:
         """Poses [T, 55, 3] rad and shifts [T, 3] m of blends; each is what `blend_at` is given.
 
@@ -278,10 +281,12 @@ class ClipLibrary:
         """
         before = self._between([first for first, _, _ in blends])
         after = self._between([second for _, second, _ in blends])
-        mix = step_plans if steps else mix_plans
-        return solve_plan(
-            self.build, mix(before, after, np.array([share for _, _, share in blends]))
-        )
+        share = np.array([share for _, _, share in blends])
+        if steps is None:
+            mixed = mix_plans(before, after, share)
+        else:
+            mixed = step_plans(self.build, before, after, share, steps)
+        return solve_plan(self.build, mixed)
 
     def _between(self, places: Sequence[tuple[str, float, float]]) -> Plan:
         """Plans of clips between their frames, each at (name, at, speed)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -250,7 +251,7 @@ def plan_aside(build: Build, style: Style, side: int, way: float = 0.4) -> Plan:
 
 
 PIVOT = np.pi / 4  # that a body turns while both feet step once [rad]
-PIVOT_ROWS = 32  # of a pivot, and one more at its end
+PIVOT_ROWS = 60  # of a pivot, and one more at its end
 SETTLE_ROWS = 8  # in which feet step after a body that stopped at any of those
 _SWINGS = ((0.06, 0.46), (0.54, 0.94))  # of a pivot, of the foot that goes first and the other
 _PIVOT_LIFT = 0.035  # m
@@ -277,7 +278,7 @@ def plan_settle(build: Build, style: Style, side: int) -> Plan:
     away = np.abs(facing - turned[:, None]) + 10.0 * lift
     late = (away < away[:, ::-1]) | ((away == away[:, ::-1]) & [False, True])
     u = np.clip(2.0 * since[:, None] - late, 0.0, 1.0)
-    goes = np.abs(facing - turned[:, None]) > 0.02
+    goes = np.abs(facing - turned[:, None]) > 1e-3
     facing = facing + ease(1.4 * u - 0.2) * (turned[:, None] - facing)
     step = 0.8 * _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * goes
     lift = np.maximum(lift * (1.0 - ease(u)), step)
@@ -305,16 +306,53 @@ def _turn_on(build: Build, style: Style, side: int, turned: F64, facing: F64, li
     )  # fmt: skip
 
 
-def step_plans(first: Plan, second: Plan, share: NDArray[np.floating] | float) -> Plan:
-    """The `share` [T] (0..1) of the way between plans, one foot after the other, and lifted."""
-    part = np.broadcast_to(np.asarray(share, np.float64), (len(first),))
-    mixed = mix_plans(first, second, part)
+@dataclass(frozen=True)
+class Steps:
+    """How feet step from a walk to where somebody stands, or from there into a walk.
+
+    Attributes:
+        early: foot that goes first, 0 left and 1 right.
+        stops: whether the walk is what ends.
+        stood: how far before the body feet of who stands are [m].
+        turned: how far the body is turned on feet of a walk that ends, to the left [rad].
+    """
+
+    early: int
+    stops: bool
+    stood: float
+    turned: float
+
+
+def _turn_feet(plan: Plan, turned: F64) -> Plan:
+    """The plan [T] on feet that its bodies have turned on."""
+    back = about_axis("y", np.repeat(-turned[:, None], 2, axis=1))
+    ankles = np.einsum("tkab,tkb->tka", matrices_of(back), plan.ankles)
+    knees = plan.knees - 0.7 * turned[:, None]
+    return replace(plan, ankles=ankles, feet=multiply(back, plan.feet), knees=knees)
+
+
+def _move_feet(plan: Plan, stood: F64, turned: F64) -> Plan:
+    """The plan [T] on feet before where their bodies were ahead [m], before these turned."""
+    ahead = np.stack([-np.sin(turned), np.zeros(len(turned)), np.cos(turned)], axis=1)
+    return replace(plan, ankles=plan.ankles + (stood[:, None] * ahead)[:, None])
+
+
+def step_plans(
+    build: Build, first: Plan, second: Plan, share: NDArray[np.floating], steps: Sequence[Steps]
+) -> Plan:
+    """The `share` [T] (0..1) of the way between plans [T], one foot after the other, and lifted."""
+    stops = np.array([one.stops for one in steps])
+    stood = np.array([one.stood for one in steps])
+    turned = np.where(stops, [one.turned for one in steps], 0.0)
+    early = np.array([one.early for one in steps])
+    first = _turn_feet(first, turned)
+    first = _move_feet(first, np.where(stops, 0.0, stood), np.zeros(len(steps)))
+    second = _move_feet(second, np.where(stops, stood, 0.0), turned)
+    mixed = mix_plans(first, second, share)
     first, second = (replace(one, upper=one.upper[:, :0]) for one in (first, second))  # feet alone
     away = np.linalg.norm(second.ankles - first.ankles, axis=-1)
-    left, right = first.stands[:, 0], first.stands[:, 1]
-    early = np.where(left == right, away[:, 1] > away[:, 0], left)
     for k in (0, 1):
-        u = np.clip(2.0 * part - (k != early), 0.0, 1.0)
+        u = np.clip(2.0 * share - (k != early), 0.0, 1.0)
         # powers one by one: those of arrays differ in their last bits
         eased = np.array([float(ease(np.asarray(x))) for x in u.tolist()])
         foot = mix_plans(first, second, eased)
@@ -322,4 +360,6 @@ def step_plans(first: Plan, second: Plan, share: NDArray[np.floating] | float) -
             getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]
         middle = np.array([(2.0 * x - 1.0) ** 4 for x in u.tolist()])
         mixed.ankles[:, k, 1] += _PIVOT_LIFT * (1.0 - middle) * np.minimum(away[:, k] / 0.05, 1.0)
-    return mixed
+    pelvis = mixed.pelvis.copy()
+    pelvis[:, 1] = np.minimum(pelvis[:, 1], highest_pelvis(build, mixed, 0.998))
+    return replace(mixed, pelvis=pelvis)

@@ -27,11 +27,14 @@ static_assert(sizeof(Role) == ROLE_BYTES, "device_layout.ROLE differs from Role"
 #define CLIP_STEP 12
 #define BLEND 4
 #define PAUSE 5.0
+#define RIGHT_SWINGS 0.33  // phase
+#define STOOD_LEAST -48    // mm
+#define STOOD_MOST 15
 #define NEAR_EYE 2.5
 #define SIDE_EYE 1.3
 #define BEHIND 1.0
 #define PIVOT 0.7853981633974483  // rad, 45 degrees
-#define PIVOT_ROWS 32
+#define PIVOT_ROWS 60
 #define SETTLE_ROWS 8
 #define PROBE_CELL 0.5  // m, of the grid of probes
 
@@ -138,7 +141,8 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   const Role &role = ((const Role *)e.roles)[p];
   Route r = route_of(e, p);
   int clip = CLIP_NONE, frame = 0, other = CLIP_NONE, other_frame = 0, quarter = BLEND;
-  double forward = 0.0;
+  int early = 0, stood = STOOD_LEAST;
+  double forward = 0.0, at_x = q.x, at_y = q.y;
   if (r.behaviour != SCRIPT) {
     double seconds = 0.1 * q.clip_since + 0.1 * role.offset;
     clip = role.clip;
@@ -184,20 +188,34 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
       other_frame = 0;
     }
     // who stands is where it is: what the phase of a walk was off by would turn with it
-    double walks = (double)min(q.clip_since + 1, BLEND) / BLEND;
-    if (q.clip != WALK) walks = 1.0 - walks;
-    forward = walks * ((double)phase / PHASES - cycles) * role.stride;
+    int part = min(q.clip_since + 1, BLEND);
+    int walks = min(q.clip == WALK ? part : BLEND - part, 2);
+    forward = 0.5 * walks * ((double)phase / PHASES - cycles) * role.stride;
+    if (other != CLIP_NONE) {
+      double gone = clip == CLIP_WALK ? q.speed * q.speed / (2.0 * BRAKE) : 0.0;
+      double at = cycles - gone / role.stride - RIGHT_SWINGS;
+      early = fabs(at - floor(at) - 0.5) > 0.25;
+      stood = min(max((int)rint(-1e3 * (gone + forward)), STOOD_LEAST), STOOD_MOST);
+    } else if (clip != CLIP_WALK) {
+      forward = 0.0;
+      at_x = q.x0;
+      at_y = q.y0;
+    }
   }
   int look = STRAIGHT;
   double yaw = atan2(q.hx * dy - q.hy * dx, q.hx * dx + q.hy * dy);
   if (square < NEAR_EYE * NEAR_EYE && fabs(yaw) < SIDE_EYE) look = look_class(yaw);
-  double hx = q.hx, hy = q.hy;
-  if (clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2) {  // feet stand as they stood, to the row
-    bool pivots = clip < CLIP_SETTLE;
-    const double *turn = turns + 2 * (pivots ? frame : frame / SETTLE_ROWS);
-    double cos = turn[0], sin = (clip - (pivots ? CLIP_PIVOT : CLIP_SETTLE)) ? -turn[1] : turn[1];
+  double hx = q.hx, hy = q.hy, ax = hx, ay = hy;
+  int stands = clip != CLIP_WALK ? clip : other;
+  if (stands >= CLIP_PIVOT && stands < CLIP_SETTLE + 2) {  // feet stand as they stood, to the row
+    bool pivots = stands < CLIP_SETTLE;
+    int row = clip != CLIP_WALK ? frame : other_frame;
+    const double *turn = turns + 2 * (pivots ? row : row / SETTLE_ROWS);
+    double cos = turn[0], sin = (stands - (pivots ? CLIP_PIVOT : CLIP_SETTLE)) ? -turn[1] : turn[1];
     hx = q.fx * cos - q.fy * sin;
     hy = q.fx * sin + q.fy * cos;
+    ax = clip == CLIP_WALK ? hx : q.fx;
+    ay = clip == CLIP_WALK ? hy : q.fy;
   }
   double away = sqrt(square);
   int level = 0;
@@ -207,14 +225,16 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   code |= (u64)level << 16;
   code |= (u64)clip << 18;
   code |= (u64)frame << 24;
-  code |= (u64)role.gait << 36;
-  code |= (u64)look << 39;
-  code |= (u64)other << 42;
-  code |= (u64)other_frame << 48;
-  code |= (u64)quarter << 57;
+  code |= (u64)role.gait << 34;
+  code |= (u64)look << 37;
+  code |= (u64)other << 40;
+  code |= (u64)other_frame << 46;
+  code |= (u64)(quarter & 3) << 55;
+  code |= (u64)early << 57;
+  code |= (u64)(stood - STOOD_LEAST) << 58;
   codes[k] = code + 1;
   double *pose = poses + 16 * k;
-  double rows[16] = {hx,  -hy, 0.0, q.x + hx * forward, hy,  hx,  0.0, q.y + hy * forward,
+  double rows[16] = {hx,  -hy, 0.0, at_x + ax * forward, hy,  hx,  0.0, at_y + ay * forward,
                      0.0, 0.0, 1.0, 0.0,                0.0, 0.0, 0.0, 1.0};
   for (int n = 0; n < 16; n++) pose[n] = rows[n];
   find_gain(e, q.x, q.y, gains + 12 * k);

@@ -167,6 +167,31 @@ def test_who_turns_on_the_spot_is_drawn_from_its_rows_as_in_the_simulator(
         assert not np.array_equal(told["rgb"], drawn[step])
 
 
+def test_a_last_move_that_a_person_cut_ends_where_it_was_cut(data: Dataset) -> None:
+    """Rows end with the state before the last action: who was in the way then walks along."""
+    comer = EpisodePerson(number=1, identity="p0000", path=((2.9, 2.5), (1.2, 2.5)), speed=0.9)
+    episode = goal_episode("e-met", comer)
+    simulator = open_simulator(data.scene("flat"), CAMERA, "cpu", set(), BODY)
+    simulator.reset(episode)
+    poses, states, executed, hit = [], [], [], None
+    while hit is None:
+        poses.append(tuple(simulator.pose))
+        states.append(simulator.company.save())
+        executed.append({2: 2, 3: 3}.get(len(poses), 1))
+        result = simulator.step(executed[-1])
+        hit = result.info["hit_person"]
+    count = len(poses)
+    assert hit.number == 1 and count >= 4 and result.collided
+    rows = replace(
+        make_rows(), poses=np.array(poses), executed=np.array(executed, np.int8),
+        collided=np.arange(count) == count - 1, people=StepPeople.of_states(states),
+    )  # fmt: skip
+    last = data._last_pose(rows, episode)
+    assert last == tuple(simulator.pose)
+    alone = data._last_pose(replace(rows, people=None), episode)
+    assert alone[0] > last[0]  # as far as it would have come without anybody
+
+
 def test_rows_hold_all_that_shows_a_person() -> None:
     """At every tick of a walk with stops: clip, frame, what it blends with, and pose."""
     avatar = small_person()

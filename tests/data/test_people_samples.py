@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,6 +25,7 @@ from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.dataset_stats import measure_dataset
 from gn0.data.episode_frames import read_frames
 from gn0.data.expert_labels import LabelSettings
+from gn0.data.lerobot_schema import EPISODES, FOLLOWED
 from gn0.data.merge import merge_shards
 from gn0.data.picture_build import render_dataset
 from gn0.data.repair import repair_dataset
@@ -41,6 +43,10 @@ from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.step_people import StepPeople
 from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, EpisodeError, FormatError
+from gn0.export.dataset_source import open_source
+from gn0.export.export_run import run_export
+from gn0.export.exporter import ExportSettings
+from gn0.export.lerobot3_reader import check_folder
 from gn0.geometry import Pose2D
 from gn0.people.cast import Actor
 from gn0.people.crowd import build_walls, empty_crowd, place_people, step_crowd
@@ -465,6 +471,46 @@ def test_videos_show_people_and_a_black_history(suite: Suite, bank: Path, tmp_pa
     for frame, rgb in zip(film, exact, strict=True):
         assert np.abs(frame["rgb"].astype(int) - rgb).mean() < 6
         assert frame["history"].max() <= 2  # black as a video keeps it
+    run_export(open_source(made.folder), "lerobot-v3", tmp_path / "export", ExportSettings())
+    for folder in (made.folder / "pictures/lerobot", tmp_path / "export"):
+        assert check_folder(folder) == []
+        _check_followed(folder, made)
+    wide = ExportSettings(camera="gn_bench")  # boxes are of another camera
+    run_export(open_source(made.folder, exact=True), "lerobot-v3", tmp_path / "wide", wide)
+    table = pq.read_table(tmp_path / "wide/data/chunk-000/file-000.parquet")
+    assert set(table["label.person"].to_pylist()) == {0, 5}
+    assert set(table["label.person_share"].to_pylist()) == {-1.0}
+
+
+def _check_followed(folder: Path, made: Dataset) -> None:
+    """Person, box and share of each frame are those of its row; of others nobody's."""
+    features = json.loads((folder / "meta/info.json").read_text())["features"]
+    assert {name for name in features if "person" in name} == FOLLOWED.keys()
+    assert features["label.person_box"]["shape"] == [4]
+    assert features["label.person_box"]["names"] == ["left", "top", "right", "bottom"]
+    files = sorted(folder.glob("data/chunk-000/*.parquet"))
+    table = pa.concat_tables([pq.read_table(file) for file in files])
+    names = [row["gn0_id"] for row in pq.read_table(folder / EPISODES).to_pylist()]
+    assert sorted(names) == ["a-alone", "b-crossed", "c-follow"]
+    frames: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for row in table.select([*FOLLOWED, "episode_index"]).to_pylist():
+        frames[names[row["episode_index"]]].append(row)
+    rows, episode = made.rows("c-follow"), made.episode("c-follow")
+    assert len(frames["c-follow"]) == len(rows)
+    boxes = 0
+    for step, frame in enumerate(frames["c-follow"]):
+        seen = rows.seen_person(step, episode)
+        assert seen is not None and frame["label.person"] == 5
+        assert frame["label.person_share"] == np.float32(seen.share)
+        assert tuple(frame["label.person_box"]) == (seen.box or (-1.0,) * 4)
+        boxes += seen.box is not None
+    assert boxes > 3
+    nobody = {"label.person": 0, "label.person_box": [-1.0] * 4, "label.person_share": -1.0}
+    for name in ("a-alone", "b-crossed"):
+        for frame in frames[name]:
+            assert nobody.items() <= frame.items()
+    stats = json.loads((folder / "meta/stats.json").read_text())
+    assert stats["label.person"]["max"] == [5.0] and stats["label.person_box"]["min"] == [-1.0] * 4
 
 
 def test_statistics_sheet_and_shards_tell_who_is_there(

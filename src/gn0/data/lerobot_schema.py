@@ -242,7 +242,7 @@ def followed_columns(
             break
         columns["label.person_share"][step] = seen.share
         if seen.box is not None:
-            columns["label.person_box"][step] = np.float32(seen.box) * np.float32((*scale, *scale))
+            columns["label.person_box"][step] = np.array(seen.box) * (*scale, *scale)
     return columns
 
 

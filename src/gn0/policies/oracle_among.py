@@ -35,8 +35,6 @@ Way = Literal["wait", "past", "aside", "far aside", "round"]
 stay there until it has passed though it walks off; go the long way round whatever it does."""
 WAYS: tuple[Way, ...] = ("wait", "past", "aside", "far aside", "round")
 
-STILL = 1.0  # s without moving, and somebody is stood round, not waited for
-AROUND = 4.0  # m: people beyond that are nobody to go round
 WAITS = 3  # times that it waits for somebody, two actions each, before it does something else
 AHEAD = 160  # actions that it thinks ahead then
 DETOUR = 4.0  # s for which who was waited for in vain counts as standing, at least
@@ -62,8 +60,8 @@ class GoalAmongPeople:
         self._simulator, self._planner = simulator, plan
         self._plan: deque[Action] = deque()
         self._expected: Pose2D | None = None
-        self._where: list[tuple[Place, float]] = []  # where each is, since when
-        self._around: tuple[tuple[Place, bool], ...] = ()
+        self._stale = False  # the plan leads where it does not want to go any more
+        self._around: tuple[Place, ...] = ()
         self._trail: list[Place] = []
         self._back: Place | None = None  # where it goes back to
         self._pause = self._passing = 0  # actions that it still waits, for whom
@@ -83,17 +81,17 @@ class GoalAmongPeople:
         simulator = self._simulator
         self._note_trail()
         if (self._pause or self._back is not None) and self._is_gone():
-            self._pause, self._back, self._expected = 0, None, None
+            self._pause, self._back, self._stale = 0, None, True
             self._in_vain.pop(self._passing, None)
         standing = self._standing()
         if self._pause:
-            self._pause, self._expected = self._pause - 1, None
+            self._pause, self._stale = self._pause - 1, True
             return Action.RIGHT if self._pause % 2 else Action.LEFT
         off = self._expected is None or not np.allclose(self._expected, simulator.pose, atol=1e-6)
-        if off or standing != self._around:
+        if off or self._stale or standing != self._around:
             self._replan(standing)
         if not self._plan and self._back is not None:  # far enough: let them pass
-            self._back, self._pause = None, PAUSE
+            self._back, self._pause, self._stale = None, PAUSE, True
             return Action.LEFT
         if not self._plan:
             return Action.STOP
@@ -134,25 +132,26 @@ class GoalAmongPeople:
 
     def _is_far(self) -> bool:
         """Whether the way round those who stand is a long one, as in a hallway."""
-        way = self._plan_round([place for place, _ in self._standing()])
+        way = self._plan_round(self._standing())
         return way is None or len(way) > len(self._plan) + LONG
 
     def _take(self, way: Way, person: int) -> None:
         simulator, row = self._simulator, self._row_of(person)
-        self._back = None
+        self._back, self._stale = None, True
         self._held.pop(person, None)
         if way == "wait":
             return
         self._in_vain[person] = simulator.time + DETOUR
         if way == "round":
-            found = self._plan_round([place for place, _ in self._standing()]) or []
+            found = self._plan_round(self._standing()) or []
             lasts = len(found) * simulator.agent.step_seconds
             self._in_vain[person] = simulator.time + max(DETOUR, lasts)
-            self._held[person] = self._where[row][0]  # it walks on meanwhile
+            x, y = simulator.company.places[row].tolist()
+            self._held[person] = x, y  # it walks on meanwhile
         elif way != "past":
             self._back = self._find_aside(person, (simulator.pose.x, simulator.pose.y))
             self._passing, self._stays = person, way == "far aside"
-            self._expected, self._away = None, math.inf
+            self._away = math.inf
 
     def _find_best(self, person: int) -> Way:
         """What leads to the goal in the fewest actions, each tried out in a simulator of its own.
@@ -246,32 +245,21 @@ class GoalAmongPeople:
         self._trail = self._trail[: self._trail.index(back) + 1]
         return back
 
-    def _standing(self) -> tuple[tuple[Place, bool], ...]:
-        """Where people are whom it does not wait for, and whether these will walk on by and by."""
-        simulator, time = self._simulator, self._simulator.time
-        places = [(float(x), float(y)) for x, y in simulator.company.places.tolist()]
-        before, x, y = self._where, simulator.pose.x, simulator.pose.y
-        self._where = [
-            before[k] if k < len(before) and before[k][0] == place else (place, time)
-            for k, place in enumerate(places)
-        ]
-        found = []
-        for person, (place, since) in zip(simulator.company.people, self._where, strict=True):
-            tired = self._in_vain.get(person.number, -math.inf) > time
-            if tired:  # whole cells, so that who shuffles about is not planned anew at each step
-                place = self._held.get(person.number, place)
-                found.append(((round(place[0], 1), round(place[1], 1)), False))
-            elif time - since >= STILL and math.dist(place, (x, y)) <= AROUND:
-                found.append((place, person.behaviour == "script"))
+    def _standing(self) -> tuple[Place, ...]:
+        """Where people are whom it does not wait for: who keeps a place, or was waited for."""
+        simulator, found = self._simulator, []
+        places = simulator.company.places.tolist()
+        for person, (x, y) in zip(simulator.company.people, places, strict=True):
+            if self._in_vain.get(person.number, -math.inf) > simulator.time:
+                # whole cells, so that who shuffles about is not planned anew at each step
+                found.append(self._held.get(person.number, (round(x, 1), round(y, 1))))
+            elif person.behaviour != "script":
+                found.append((x, y))
         return tuple(found)
 
-    def _replan(self, standing: tuple[tuple[Place, bool], ...]) -> None:
-        self._around = standing
-        way = self._plan_round([place for place, _ in standing])
-        if way is None or any(waits for _, waits in standing):
-            stay = self._plan_round([place for place, waits in standing if not waits])
-            if way is None or (stay is not None and len(way) > len(stay) + LONG):
-                way = stay
+    def _replan(self, standing: tuple[Place, ...]) -> None:
+        self._around, self._stale = standing, False
+        way = self._plan_round(standing)
         if way is None:  # shut in by people: wait for them
             way = self._planner(self._simulator.navigation, self._back)
         self._plan = deque(way)

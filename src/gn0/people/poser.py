@@ -171,7 +171,7 @@ class PeoplePoser:
         try:
             *shown, level = msgspec.convert(how, _HOW)
         except msgspec.ValidationError as error:
-            raise FormatError(f"{brief(how)} is no pose: {error}", field="how") from None
+            raise FormatError(f"{brief(how)} is not a pose: {error}", field="how") from None
         if not 0 <= level < len(actor.levels):
             raise FormatError(f"level of detail {level}", field="how")
         return PoseShown(actor, Shown(*shown), level)

@@ -12,12 +12,15 @@ import pytest
 
 from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.replay import replay_run
+from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
 from gn0.bench.runner import run_suite
 from gn0.cli.result_tables import print_summaries
+from gn0.errors import EpisodeError
 from gn0.missions.episode import MissionFollow
 from gn0.people.walk import walk_alone
 from gn0.suites.suite import Suite
+from gn0_trials import people_samples
 from gn0_trials.follow_suite_small import WALKER, follow_episode, save_small
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -173,3 +176,24 @@ def test_what_is_wrong_is_said(small: Suite, tmp_path: Path) -> None:
     assert "nobody to run at" in summary.failed[0].reason
     summary = run_suite(small, "box_follower", tmp_path / "boxes", max_episodes=1)
     assert "preset=follower_small" in summary.failed[0].reason
+
+
+def test_people_of_a_bank_are_shown_from_it_and_another_bank_is_refused(tmp_path: Path) -> None:
+    bank, run = people_samples.save_bank(tmp_path / "bank"), tmp_path / "run"
+    listed = json.loads((bank / "bank.json").read_text())
+    suite = people_samples.save_some(
+        tmp_path / "suite", people_samples.follow_episode(listed["hash"])
+    )
+    with pytest.raises(EpisodeError, match="none was given") as caught:
+        run_suite(suite, "oracle", run)
+    assert "--bank" in caught.value.remedy and not run.exists()
+    run_suite(suite, "oracle", run, bank=bank)
+    (result,) = load_results(run)
+    follow = scored(result)
+    assert follow.by_pictures and follow.visible_share
+    assert str(bank) not in (run / "run.json").read_text()
+    write_report(run, run / "report.html", videos=1, bank=bank)
+    (bank / "bank.json").write_text(json.dumps({**listed, "hash": "another"}))
+    with pytest.raises(EpisodeError, match=f"is of bank {listed['hash']}, this is another") as told:
+        run_suite(suite, "oracle", tmp_path / "other", bank=bank)
+    assert "c-follow" in told.value.where and not (tmp_path / "other").exists()

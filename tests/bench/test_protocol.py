@@ -79,12 +79,13 @@ def test_the_identity_changes_with_whatever_decides_a_result(flats_suite: Suite)
         config_hash(flats_suite, "random", {"seed": 1}, "cpu", 12),
         config_hash(flats_suite, "random", {}, "cuda", 12),
         config_hash(flats_suite, "random", {}, "cpu", 11),
+        config_hash(flats_suite, "random", {}, "cpu", 12, bank="0" * 32),
         config_hash(
             Suite(flats_suite.folder, flats_suite.about, flats_suite.episodes[1:]),
             "random", {}, "cpu", 12,
         ),
     }  # fmt: skip
-    assert len(others) == 5 and base not in others
+    assert len(others) == 6 and base not in others
 
 
 def episodes_in(*scenes: str) -> list[Episode]:

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,6 +25,7 @@ from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.dataset_stats import measure_dataset
 from gn0.data.episode_frames import read_frames
 from gn0.data.expert_labels import LabelSettings
+from gn0.data.lerobot_schema import EPISODES, FOLLOWED
 from gn0.data.merge import merge_shards
 from gn0.data.picture_build import render_dataset
 from gn0.data.repair import repair_dataset
@@ -41,6 +43,10 @@ from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.step_people import StepPeople
 from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, EpisodeError, FormatError
+from gn0.export.dataset_source import open_source
+from gn0.export.export_run import run_export
+from gn0.export.exporter import ExportSettings
+from gn0.export.lerobot3_reader import check_folder
 from gn0.geometry import Pose2D
 from gn0.people.cast import Actor
 from gn0.people.crowd import build_walls, empty_crowd, place_people, step_crowd
@@ -165,6 +171,31 @@ def test_who_turns_on_the_spot_is_drawn_from_its_rows_as_in_the_simulator(
             pose, frozenset({"rgb"}), untold.show(untold.want([pose], step))[0]
         )
         assert not np.array_equal(told["rgb"], drawn[step])
+
+
+def test_a_last_move_that_a_person_cut_ends_where_it_was_cut(data: Dataset) -> None:
+    """Rows end with the state before the last action: who was in the way then walks along."""
+    comer = EpisodePerson(number=1, identity="p0000", path=((2.9, 2.5), (1.2, 2.5)), speed=0.9)
+    episode = goal_episode("e-met", comer)
+    simulator = open_simulator(data.scene("flat"), CAMERA, "cpu", set(), BODY)
+    simulator.reset(episode)
+    poses, states, executed, hit = [], [], [], None
+    while hit is None:
+        poses.append(tuple(simulator.pose))
+        states.append(simulator.company.save())
+        executed.append({2: 2, 3: 3}.get(len(poses), 1))
+        result = simulator.step(executed[-1])
+        hit = result.info["hit_person"]
+    count = len(poses)
+    assert hit.number == 1 and count >= 4 and result.collided
+    rows = replace(
+        make_rows(), poses=np.array(poses), executed=np.array(executed, np.int8),
+        collided=np.arange(count) == count - 1, people=StepPeople.of_states(states),
+    )  # fmt: skip
+    last = data._last_pose(rows, episode)
+    assert last == tuple(simulator.pose)
+    alone = data._last_pose(replace(rows, people=None), episode)
+    assert alone[0] > last[0]  # as far as it would have come without anybody
 
 
 def test_rows_hold_all_that_shows_a_person() -> None:
@@ -440,6 +471,46 @@ def test_videos_show_people_and_a_black_history(suite: Suite, bank: Path, tmp_pa
     for frame, rgb in zip(film, exact, strict=True):
         assert np.abs(frame["rgb"].astype(int) - rgb).mean() < 6
         assert frame["history"].max() <= 2  # black as a video keeps it
+    run_export(open_source(made.folder), "lerobot-v3", tmp_path / "export", ExportSettings())
+    for folder in (made.folder / "pictures/lerobot", tmp_path / "export"):
+        assert check_folder(folder) == []
+        _check_followed(folder, made)
+    wide = ExportSettings(camera="gn_bench")  # boxes are of another camera
+    run_export(open_source(made.folder, exact=True), "lerobot-v3", tmp_path / "wide", wide)
+    table = pq.read_table(tmp_path / "wide/data/chunk-000/file-000.parquet")
+    assert set(table["label.person"].to_pylist()) == {0, 5}
+    assert set(table["label.person_share"].to_pylist()) == {-1.0}
+
+
+def _check_followed(folder: Path, made: Dataset) -> None:
+    """Person, box and share of each frame are those of its row; of others nobody's."""
+    features = json.loads((folder / "meta/info.json").read_text())["features"]
+    assert {name for name in features if "person" in name} == FOLLOWED.keys()
+    assert features["label.person_box"]["shape"] == [4]
+    assert features["label.person_box"]["names"] == ["left", "top", "right", "bottom"]
+    files = sorted(folder.glob("data/chunk-000/*.parquet"))
+    table = pa.concat_tables([pq.read_table(file) for file in files])
+    names = [row["gn0_id"] for row in pq.read_table(folder / EPISODES).to_pylist()]
+    assert sorted(names) == ["a-alone", "b-crossed", "c-follow"]
+    frames: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for row in table.select([*FOLLOWED, "episode_index"]).to_pylist():
+        frames[names[row["episode_index"]]].append(row)
+    rows, episode = made.rows("c-follow"), made.episode("c-follow")
+    assert len(frames["c-follow"]) == len(rows)
+    boxes = 0
+    for step, frame in enumerate(frames["c-follow"]):
+        seen = rows.seen_person(step, episode)
+        assert seen is not None and frame["label.person"] == 5
+        assert frame["label.person_share"] == np.float32(seen.share)
+        assert tuple(frame["label.person_box"]) == (seen.box or (-1.0,) * 4)
+        boxes += seen.box is not None
+    assert boxes > 3
+    nobody = {"label.person": 0, "label.person_box": [-1.0] * 4, "label.person_share": -1.0}
+    for name in ("a-alone", "b-crossed"):
+        for frame in frames[name]:
+            assert nobody.items() <= frame.items()
+    stats = json.loads((folder / "meta/stats.json").read_text())
+    assert stats["label.person"]["max"] == [5.0] and stats["label.person_box"]["min"] == [-1.0] * 4
 
 
 def test_statistics_sheet_and_shards_tell_who_is_there(

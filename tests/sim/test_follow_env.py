@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import partial
 
 import gymnasium
 import msgspec
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,6 +52,40 @@ def test_it_passes_gymnasium_s_own_check() -> None:
         warnings.simplefilter("error")
         check_env(env.unwrapped, skip_render_check=True)
     env.close()
+
+
+def test_gymnasium_s_own_vector_of_them_is_ours() -> None:
+    """Equal shapes for one person and two; observations, rewards, ends and infos of ours."""
+    other = EpisodePerson(number=2, identity="drawn:0:2", path=((3.0, 1.5),), behaviour="stand")
+    alone = _episode((3.0, 2.5), (3.4, 2.5))
+    episodes = [alone, msgspec.structs.replace(alone, people=(*alone.people, other))]
+    asked = {"sensors": ("ranges",), "agent": BODY}
+
+    def make(one: Episode) -> gymnasium.Env:
+        return gymnasium.make("gn0/FollowNav-v1", scene=FLAT, episodes=[one], **asked)
+
+    made = [partial(make, one) for one in episodes]
+    single = SyncVectorEnv(made, autoreset_mode=AutoresetMode.SAME_STEP)
+    ours = [FollowVectorEnv(1, FLAT, episodes=[e], **asked) for e in episodes]
+    seen, infos = single.reset(seed=4)
+    first = [env.reset(seed=4) for env in ours]
+    assert infos["people"].shape == (2, 16, 4) and infos["people_count"].tolist() == [1, 2]
+    ended = 0
+    for action in [LEFT, 3, *[FORWARD] * 14]:
+        for row, (found, told) in enumerate(first):
+            assert np.array_equal(seen["ranges"][row], found["ranges"][0])
+            count = infos["people_count"][row]
+            assert np.array_equal(infos["people"][row][:count], told["people"][0])
+            for key in ("hit_person", "hit_by", "follows", "end"):
+                assert infos[key][row] == told[key][0], key
+        seen, rewards, over, cut, infos = single.step(np.array([action, action]))
+        taken = [env.step(np.array([action])) for env in ours]
+        first = [(step[0], step[4]) for step in taken]
+        for row, step in enumerate(taken):
+            assert (rewards[row], over[row], cut[row]) == (step[1][0], step[2][0], step[3][0])
+        ended += int(over.sum())
+    assert ended > 0  # it ran into the person ahead, and began anew
+    single.close()
 
 
 def test_standing_still_ends_nothing_and_a_touch_ends_it() -> None:

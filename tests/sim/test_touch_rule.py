@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
 from gn0.bench.company_watch import CompanyWatch, FollowReferee
+from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
 from gn0.missions.follow_rules import FOLLOW, FOLLOW_EVT, touched_person
+from gn0.people.crowd import CrowdState
 from gn0.people.person import EpisodePerson
+from gn0.people.reach import X0, Y0, X, Y
 from gn0.scenes import build_example_scene
 from gn0.sim import open_simulator
+from gn0.sim import people as sim_people
 from gn0.sim.follow_env import FollowNavEnv
 from gn0.sim.follow_vector import FollowVectorEnv
+from gn0.sim.people import Company
 
 FLAT = build_example_scene()
 BODY = AgentSpec(radius=0.25, step_seconds=0.2)
@@ -98,3 +104,47 @@ def test_all_give_the_same_verdict_on_the_same_walk() -> None:
         assert (told[row] == taken - 1) == (judge.end == "touch")
         ends.add(judge.end)
     assert ends == {"touch", None}
+
+
+def test_no_cut_is_a_person_s_doing_however_quick_they_are() -> None:
+    """Each may use half of a gap, so of two who would touch the agent has done more; or stood."""
+    quick = tuple(
+        msgspec.structs.replace(one, speed=1.6) if len(one.path) > 1 else one
+        for one in _episode().people
+    )
+    simulator = open_simulator(FLAT, "follower", sensors=[], max_steps=1000)
+    stream, cuts, stood = np.random.default_rng(1), 0, 0
+    for _ in range(5):
+        simulator.reset(msgspec.structs.replace(_episode(), people=quick))
+        for action in stream.choice(4, 120, p=[0.2, 0.5, 0.15, 0.15]).tolist():
+            cut = simulator.step(action).info["hit_person"]
+            away = np.hypot(*(simulator.company.places - simulator.pose[:2]).T).min()
+            assert away >= 2 * 0.25 - 1e-9
+            stood += action != 1 and away < 0.6
+            if action != 1:
+                assert cut is None  # nobody walks into who stands
+            elif cut is not None:
+                assert cut.by == "agent"
+                cuts += 1
+    assert cuts > 50 and stood > 50
+
+
+@pytest.mark.parametrize(("step", "by"), [(0.0, "agent"), (0.03, "agent"), (0.2, "person")])
+def test_the_record_says_who_moved_more(
+    step: float, by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody of other rules than ours, who walks on whoever is there."""
+    company = Company(NavigationMap(FLAT.grid, BODY.radius), BODY)
+    company.begin(msgspec.structs.replace(_episode(), people=(_person(9, (2.65, 2.1)),)))
+
+    def walk_on(state: CrowdState, *_: object, **more: object) -> None:
+        row = state.real[0, 0]
+        row[[X0, Y0]] = row[[X, Y]]
+        row[X] -= step
+
+    monkeypatch.setattr(sim_people, "step_crowd", walk_on)
+    company.move(2.0, 2.1, 2.25, 2.1)  # two ticks of 0.125 m; 0.15 m are left between them
+    assert company.hit is not None
+    assert (company.hit.number, company.hit.by) == (9, by)
+    assert company.hit.tick == (1 if step > 0.02 else 2)
+    assert touched_person(company.hit) == (9 if by == "agent" else None)

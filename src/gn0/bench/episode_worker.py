@@ -200,6 +200,7 @@ class EpisodeWorker:
                 one_step_moves=s.profile in ONE_STEP_PROFILES,
                 map_view=getattr(self.policy, "map_view", None),
                 person_radius=follow_rules(s.profile).person_radius,
+                bank=s.bank or None,
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
             self._hash, self._light, self._carried = expected_hash, light, carried

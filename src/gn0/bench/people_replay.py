@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from gn0.avatars.bank import AvatarBank
 from gn0.bench.results import EpisodeTrace, recorded_actions
 from gn0.geometry import F64, Pose2D
 from gn0.maps.navigation import NavigationMap
@@ -73,6 +75,7 @@ class PeopleReplay:
         renderer: draws the pictures.
         light: how it is lit; as it was made when None.
         profile: of the suite, which decides how large people are and what a move takes.
+        bank: of people who have names in one, its folder or itself.
     """
 
     def __init__(
@@ -81,9 +84,10 @@ class PeopleReplay:
         renderer: DrawnScene,
         light: LightCondition | None = None,
         profile: str = "default",
+        bank: AvatarBank | Path | str | None = None,
     ) -> None:
         self._scene, self._profile = scene, profile
-        self.eyes = PeopleEyes(scene, renderer, light=light)
+        self.eyes = PeopleEyes(scene, renderer, bank, light)
 
     def play(
         self, episode: Episode, trace: EpisodeTrace, indices: Sequence[int], focal: float

@@ -46,10 +46,12 @@ def config_hash(
     episodes: int,
     isolated: bool = False,
     control: Control = "none",
+    bank: str = "",
 ) -> str:
     """Digest of what decides a result beside suite and code; workers and order do not.
 
-    Isolation does not either, but a run is isolated as a whole or not at all.
+    Isolation does not either, but a run is isolated as a whole or not at all. `bank` is the content
+    hash of the bank of people that is shown.
     """
     return content_hash(
         suite.hash,
@@ -59,6 +61,7 @@ def config_hash(
         episodes,
         *(["isolated"] if isolated else []),
         *([f"control {control}"] if control != "none" else []),
+        *([f"bank {bank}"] if bank else []),
     )
 
 

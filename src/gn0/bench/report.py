@@ -181,6 +181,7 @@ def write_report(
     suite: Suite | Path | str | None = None,
     videos: int = 4,
     backend: str = "auto",
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Path:
     """Write the report of one run, or of several policies side by side.
@@ -191,6 +192,7 @@ def write_report(
         suite: the suite that was run; by default found as `find_suite` says.
         videos: clips a run, half of them failures where there are any.
         backend: renderer backend for BEV and clips.
+        bank: folder of the bank of people whom episodes name, for clips of them.
         progress: progress sink.
 
     Returns:
@@ -213,7 +215,8 @@ def write_report(
                 remedy="report them separately",
             )
     path = Path(out) if out is not None else Path(folders[0]) / "report.html"
-    write_text(path, _render(ran, loaded, videos, backend, progress, beside=path.parent))
+    page = _render(ran, loaded, videos, backend, progress, beside=path.parent, bank=bank)
+    write_text(path, page)
     return path
 
 
@@ -225,6 +228,7 @@ def _render(
     progress: Progress,
     *,
     beside: Path,
+    bank: Path | str | None = None,
 ) -> str:
     episodes = {episode.id: episode for episode in suite.episodes}
     names = _run_names(runs)
@@ -239,7 +243,7 @@ def _render(
     spent, made = 0, 0
     for index, scene_id in enumerate(ran):
         progress("drawing scenes", index, len(ran))
-        art = draw_scene(suite, scene_id, index, len(ran), backend)
+        art = draw_scene(suite, scene_id, index, len(ran), backend, bank)
         symbols.append(art.symbols)
         for number, run in enumerate(runs):
             for result in run.results:
@@ -364,8 +368,15 @@ def choose_videos(results: Sequence[EpisodeResult], count: int) -> list[str]:
     return bad[:from_bad] + good[: count - from_bad]
 
 
-def draw_scene(suite: Suite, scene_id: str, index: int, scenes: int, backend: str) -> SceneArt:
-    """Maps of a scene, and what its clips need."""
+def draw_scene(
+    suite: Suite,
+    scene_id: str,
+    index: int,
+    scenes: int,
+    backend: str,
+    bank: Path | str | None = None,
+) -> SceneArt:
+    """Maps of a scene, and what its clips need; `bank` holds people whom episodes name."""
     scene = load_suite_scene(suite.scene_folder(scene_id), scene_id, suite.scene_hash(scene_id))
     window = find_window(scene.grid)
     pixels = BEV_PIXELS_MANY if scenes > MANY_SCENES else BEV_PIXELS
@@ -379,7 +390,7 @@ def draw_scene(suite: Suite, scene_id: str, index: int, scenes: int, backend: st
             bev=draw_bev(scene, renderer, window, pixels, light),
             preset=find_preset(suite.about.camera),
             camera_height=suite.about.agent.camera_height,
-            people=PeopleReplay(scene, DrawnScene(renderer), light, suite.about.profile),
+            people=PeopleReplay(scene, DrawnScene(renderer), light, suite.about.profile, bank),
         )
 
     names = f"bev-{index}", f"plan-{index}"

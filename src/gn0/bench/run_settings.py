@@ -40,7 +40,7 @@ def build_settings(
 def describe_settings(settings: Open) -> dict[str, Any]:
     """Settings as they are kept beside results; what looks like a secret is not."""
     known: dict[str, Any] = msgspec.to_builtins(settings)
-    for name in ("drawing", "on_device"):  # where work is done
+    for name in ("drawing", "on_device", "bank"):  # where work is done, and where people are
         known.pop(name)
     known["isolated"] = bool(known["isolated"])
     for name, usual in (("agents", 1), ("control", "none")):

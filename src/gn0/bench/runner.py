@@ -70,6 +70,7 @@ def run_suite(
     isolate: bool = False,
     agents: int = 1,
     control: str = "none",
+    bank: Path | str | None = None,
     tell: Callable[[str], None] = _no_words,
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
@@ -103,6 +104,8 @@ def run_suite(
             that looks at the simulator itself runs one at a time all the same.
         control: what is taken away from the policy: no_words, shuffled or no_pictures, see
             `gn0.missions.controls`. Part of the run's identity.
+        bank: folder of the bank of people whom episodes name; drawn people need none. Its content
+            is part of the run's identity.
         tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
@@ -112,6 +115,8 @@ def run_suite(
         BenchError: the folder holds another run (another suite, setting, code, or another policy
             behind the same name), is in use, or the policy cannot be built.
         ConfigError: no such policy or control, or an invalid name.
+        EpisodeError: people of episodes are of another bank, or of one that was not given where
+            pictures of them are judged.
         StorageError: `out` cannot be written, or the disk is full.
         KeyboardInterrupt: after all workers have ended; the same command resumes.
     """
@@ -128,16 +133,20 @@ def run_suite(
     source = digest_policy(policy_name, plugin_modules, isolated=isolate)
     known = check_control(control)
     episodes = choose_episodes(suite, max_episodes, known)
+    judged = any(isinstance(episode.mission, MissionFollow) for episode in episodes)
+    shown = check_bank(episodes, bank) if judged or bank is not None else ""
     out = Path(out)
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
     asked = backend
-    judged = any(isinstance(episode.mission, MissionFollow) for episode in episodes)
     backend = choose_run_backend(
         backend, policy_name, suite.map_mode, isolated=isolate, judged=judged
     )
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
-    settings = msgspec.structs.replace(settings, agents=agents, control=known)
+    settings = msgspec.structs.replace(
+        settings, agents=agents, control=known,
+        bank="" if bank is None else str(Path(bank).resolve()),
+    )  # fmt: skip
     with lock_folder(out, refuse=BenchError), contextlib.ExitStack() as stack:
         if isolate:
             empty = stack.enter_context(
@@ -154,7 +163,7 @@ def run_suite(
             identity={
                 "suite": suite.hash,
                 "config": config_hash(
-                    suite, policy_name, options, backend, len(episodes), isolate, known
+                    suite, policy_name, options, backend, len(episodes), isolate, known, shown
                 ),
                 "code": code_version(),
                 "policy": policy_name,
@@ -205,6 +214,24 @@ def choose_episodes(
     if max_episodes is not None and max_episodes < 1:
         raise BenchError(f"max_episodes is {max_episodes}", remedy="give at least 1")
     return replace_texts(suite.episodes, control)[:max_episodes]
+
+
+def check_bank(episodes: Sequence[Episode], bank: Path | str | None) -> str:
+    """Whether a bank has the people of episodes, found out before anything runs.
+
+    Returns:
+        Its content hash; "" without one.
+
+    Raises:
+        EpisodeError: it is another one than they say, or has nobody of a name, or none was given.
+        StorageError, FormatError: it cannot be read.
+    """
+    from gn0.people.cast import Cast  # bodies are needed only where there are people
+
+    cast = Cast(bank)
+    for episode in episodes:
+        cast.check(episode.people, f"episode {episode.id!r}")
+    return "" if cast.bank is None else cast.bank.content_hash
 
 
 def _check_scenes(suite: Suite, episodes: Sequence[Episode], progress: Progress) -> None:

@@ -24,6 +24,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         isolated: folder below which the policy's own process runs; "" where it runs in the worker.
         drawing: address of the drawing process for all workers; "" where each does itself.
         control: what is taken away from the policy; texts are replaced in the leases.
+        bank: folder of the bank of people whom episodes name; "" without one.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
     """
 
@@ -43,6 +44,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     agents: int = 1
     on_device: bool = False
     control: Control = "none"
+    bank: str = ""
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):

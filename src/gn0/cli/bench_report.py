@@ -23,12 +23,14 @@ class Args(Config, frozen=True):
         out: the page to write; default: report.html in the first run's folder.
         suite: their suite, if it was not run from here.
         videos: how many episodes are shown as video per policy.
+        bank: folder of the bank of people whom episodes name.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     out: str = ""
     suite: str = ""
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
+    bank: str = ""
 
 
 def run(args: Args) -> int:
@@ -43,7 +45,8 @@ def run(args: Args) -> int:
     out = Path(args.out) if args.out else folders[0] / "report.html"
     with draw_progress() as progress:
         page = write_report(
-            folders, out, suite=args.suite or None, videos=args.videos, progress=progress
-        )
+            folders, out, suite=args.suite or None, videos=args.videos, bank=args.bank or None,
+            progress=progress,
+        )  # fmt: skip
         print(page)
     return 0

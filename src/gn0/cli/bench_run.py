@@ -62,6 +62,7 @@ class Args(Config, frozen=True):
         control: take something away from the policy: its words (no_words: every text is "go"), its
             own words (shuffled: another episode's of the scene), or its pictures (no_pictures:
             black); part of the run's identity.
+        bank: folder of the bank of people whom episodes name; drawn people need none.
         limit: run only the first so many episodes; 0 means all.
         visible_sets: draw only splats that can be seen near each place: quicker, nearly the same
             pictures. Off for scored runs; part of the run's identity and protocol card.
@@ -92,6 +93,7 @@ class Args(Config, frozen=True):
     isolate: bool = False
     profile: Literal["", "default", "paper", "gn0-release", "vlnce", "evt"] = ""
     control: Literal["none", "no_words", "shuffled", "no_pictures"] = "none"
+    bank: str = ""
     limit: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--episodes",))] = 0
     visible_sets: bool = False
     backend: Literal["auto", "cpu", "cuda"] = "auto"
@@ -140,13 +142,15 @@ def run(args: Args) -> int:
             isolate=args.isolate,
             agents=args.agents,
             control=args.control,
+            bank=args.bank or None,
             tell=lambda text: print(plain_text(text)),
         )
         report = None
         if not args.no_report:
             report = write_report(
-                [out], out / "report.html", suite=suite, videos=args.videos, progress=progress
-            )
+                [out], out / "report.html", suite=suite, videos=args.videos,
+                bank=args.bank or None, progress=progress,
+            )  # fmt: skip
     print_summaries([summary])
     print(f"results: {out / 'results.jsonl'}")
     if report is not None:

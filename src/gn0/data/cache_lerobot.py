@@ -32,6 +32,7 @@ from gn0.data.lerobot_schema import (
     Surroundings,
     describe_columns,
     fit_map,
+    followed_columns,
     frame_rate,
     label_columns,
     read_sensor,
@@ -61,11 +62,11 @@ from gn0.data.sample_table import DEPTH, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, FormatError, Gn0Error
 from gn0.geometry import U8
-from gn0.missions.episode import Episode, MissionGoal
+from gn0.missions.episode import Episode, MissionFollow, MissionGoal
 from gn0.missions.episode_files import read_table
 from gn0.render.depth import to_metres
 from gn0.render.video import join_videos
-from gn0.sim.presets import find_preset
+from gn0.sim.presets import CameraPreset, find_preset
 from gn0.storage import content_hash, safe_join, write_bytes
 
 LAYOUT = "lerobot"
@@ -82,7 +83,14 @@ def film_of(dataset: Dataset, settings: PictureSettings) -> Film:
         depth=(preset.depth.width, preset.depth.height) if settings.depth else None,
         fps=frame_rate(dataset.about.agent.step_seconds),
         tile=preset.history_tile,
+        follows=any(isinstance(episode.mission, MissionFollow) for episode in dataset.episodes),
     )
+
+
+def scale_boxes(preset: CameraPreset) -> tuple[float, float]:
+    """Pixels of the view across and down for one of the camera's, in which boxes are."""
+    width, height = preset.picture_size
+    return width / preset.rgb.width, height / preset.rgb.height
 
 
 def write_videos(
@@ -237,7 +245,8 @@ def write_tables(
             "its videos were drawn by an earlier version, with other features", where=folder,
             remedy="delete that folder and run `gn0 data render --layout lerobot`",
         )  # fmt: skip
-    film = film_of(dataset, settings)
+    film, preset = film_of(dataset, settings), find_preset(dataset.about.camera)
+    scale = scale_boxes(preset)
     tasks = number_tasks([dataset.episode(name).instruction for name in dataset.sampled])
     records: list[FileRecord] = []
     entries: list[EpisodeEntry] = []
@@ -253,6 +262,8 @@ def write_tables(
                 isinstance(episode.mission, MissionGoal),
             )  # fmt: skip
             columns = label_columns(rows, around)
+            if film.follows:
+                columns |= followed_columns(rows, episode, scale)
             files = None if depth is None else [next(depth) for _ in range(len(rows))]
             labels = label_table(columns, files)
             task = tasks[episode.instruction]

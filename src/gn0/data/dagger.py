@@ -43,6 +43,7 @@ from gn0.data.settings import DaggerSettings, Halting
 from gn0.data.step_people import StepPeople
 from gn0.data.walked_way import walked_way
 from gn0.data.waypoints import sample_way_points
+from gn0.data.ways_round import lead_round
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError, PolicyError, SimError
 from gn0.geometry import F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
@@ -252,6 +253,12 @@ class Visitor:
                 agent, near = self._standing.agent, self._labels.stop_distance - ROUNDING
                 found = label_poses(self._field, rows.poses, agent, near)
                 rows = dataclasses.replace(rows, waypoints=found.waypoints, valid=found.valid)
+            elif self._labels.variant == "exact" and self._company is not None:
+                waypoints, valid = lead_round(
+                    self._standing.navigation, self.episode, rows.poses, self._company.radius,
+                    (rows.waypoints, rows.valid),
+                )  # fmt: skip
+                rows = dataclasses.replace(rows, waypoints=waypoints, valid=valid)
         if not self._states:
             return rows
         return dataclasses.replace(rows, people=StepPeople.of_states(self._states))

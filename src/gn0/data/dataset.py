@@ -325,11 +325,28 @@ class Dataset:
         if action == 0:
             return x, y, yaw
         if action == 1:
+            if rows.people is not None and rows.collided[-1]:  # a wall, or somebody
+                return (*self._end_among_people(rows, episode), yaw)
             target = step_forward(x, y, yaw, self.about.agent.forward_step)
             moved = move_agent(self.navigation(episode.scene_id), x, y, *target, self.about.agent)
             return moved.x, moved.y, yaw
         turns = int((rows.executed == 2).sum()) - int((rows.executed == 3).sum())
         return x, y, heading_yaw(episode.start[2], turns, self.about.agent.turn_degrees)
+
+    def _end_among_people(self, rows: EpisodeRows, episode: Episode) -> tuple[float, float]:
+        """Where the last move ended (x, y) [m]: people play along, as rows hold them no further."""
+        from gn0.sim.people import Company  # others need nobody
+
+        agent, move = self.about.agent, None
+        company = Company(self.navigation(episode.scene_id), agent)
+        company.begin(episode)
+        for (x, y, yaw), action in zip(rows.poses.tolist(), rows.executed.tolist(), strict=True):
+            if action == 1:
+                move = company.move(x, y, *step_forward(x, y, yaw, agent.forward_step))
+            else:
+                company.wait(x, y, agent.step_ticks)
+        assert move is not None
+        return move.x, move.y
 
     @property
     def bank(self) -> Path | None:

@@ -122,7 +122,9 @@ def open_drawing(
         yield server
         return
     try:
-        server = DrawServer(settings.drawn_by, scene_drawing.LOADER, batch, note).__enter__()
+        server = DrawServer(
+            settings.drawn_by, scene_drawing.LOADER, batch, note, pose=scene_drawing.POSER
+        ).__enter__()
     except Gn0Error as error:
         raise DataError(
             f"pictures are to be drawn by backend {settings.drawn_by!r}, which does not run here: "

@@ -20,6 +20,7 @@ from gn0.data.follow_reference import follow_task
 from gn0.data.sample_table import NO_TOKEN, EpisodeRows
 from gn0.data.step_people import StepPeople
 from gn0.data.walked_way import walked_way
+from gn0.data.ways_round import lead_round
 from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.maps.navigation import NavigationMap
@@ -129,7 +130,8 @@ class PeopleExpert:
 def walk_to_goal(simulator: Simulator, episode: Episode, labels: LabelSettings) -> EpisodeRows:
     """The oracle's walk to a goal among people, labelled along the way, without map tokens.
 
-    The way ahead is the shortest one of the scene without people; the actions go round them.
+    The way ahead of exact labels goes round those who stand or sit, as the actions do, and else is
+    the shortest one of the scene without people.
 
     Raises:
         PlanError: the goal cannot be reached.
@@ -151,6 +153,9 @@ def walk_to_goal(simulator: Simulator, episode: Episode, labels: LabelSettings) 
         )
     navigation, poses = simulator.navigation, np.array(walk.poses)
     found = label_along(navigation, episode, poses, np.array(walk.actions), labels)
+    if labels.variant == "exact":
+        radius, plain = simulator.company.radius, (found.waypoints, found.valid)
+        found = Labels(found.actions6, *lead_round(navigation, episode, poses, radius, plain))
     distance = navigation.geodesic(episode.destination).distance(poses[:, :2])
     return walk.rows(episode, found, distance)
 

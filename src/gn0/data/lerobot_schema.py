@@ -11,6 +11,9 @@ depth is a 16-bit PNG a frame inside the tables, the rest columns:
     observation.images.goal       what the goal looks like; black where a mission has no picture
     observation.images.depth      what the depth sensor reads [mm], where depth is stored
 
+Where some episode follows a person, `FOLLOWED` tells of each frame who that is and where it is
+seen.
+
 Maps have the size of their scene, which a feature cannot; the exact ones lie beside, named in
 `meta/episodes` as `map.bev`, `map.occupancy` and `goal_picture`.
 """
@@ -27,7 +30,7 @@ from numpy.typing import NDArray
 
 from gn0.data.sample_table import EpisodeRows
 from gn0.geometry import F64, U8, wrap_angle
-from gn0.missions.episode import STEP_SECONDS, TICKS_A_SECOND
+from gn0.missions.episode import STEP_SECONDS, TICKS_A_SECOND, Episode
 from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.render.depth import to_metres
 from gn0.sim.history import TILE, mosaic_size, reduce_picture
@@ -100,6 +103,12 @@ LABELS = {
     "next.done": Feature("bool"),
 }
 FEATURES = {**LABELS, **COUNTERS}
+FOLLOWED = {  # only where some episode follows a person: of that one
+    "label.person": Feature("int64"),
+    "label.person_box": Feature("float32", 4, ("left", "top", "right", "bottom")),
+    "label.person_share": Feature("float32"),
+}
+UNSEEN = -1.0  # box of who is not seen, and box and share where nobody has looked
 
 
 @dataclass(frozen=True)
@@ -110,11 +119,13 @@ class Film:
         sizes: (width, height) [px] of each video, by its short name.
         depth: (width, height) [px] of depth pictures; None where there are none.
         fps: frames a second, see `frame_rate`.
+        follows: whether some episode follows a person: there are columns of `FOLLOWED` then.
     """
 
     sizes: Mapping[str, tuple[int, int]]
     depth: tuple[int, int] | None = None
     fps: Rate = FPS
+    follows: bool = False
 
     @classmethod
     def of(
@@ -126,6 +137,7 @@ class Film:
         depth: tuple[int, int] | None = None,
         fps: Rate = FPS,
         tile: tuple[int, int] = TILE,
+        follows: bool = False,
     ) -> Film:
         """The usual: views and goals of one size, mosaics of tiles, maps on their canvas."""
         canvas = (CANVAS, CANVAS)
@@ -134,7 +146,7 @@ class Film:
             sizes |= {"bev": canvas, "occupancy": canvas}
         if goals:
             sizes["goal"] = picture
-        return cls(sizes, depth, fps)
+        return cls(sizes, depth, fps, follows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +223,38 @@ def label_columns(rows: EpisodeRows, around: Surroundings) -> dict[str, Any]:
     }
 
 
+def followed_columns(
+    rows: EpisodeRows, episode: Episode, scale: tuple[float, float] | None = (1.0, 1.0)
+) -> dict[str, Any]:
+    """The columns of `FOLLOWED` for the T rows of an episode.
+
+    Args:
+        rows: they.
+        episode: theirs.
+        scale: pixels of the view across and down, for one of the camera that boxes are in; None
+            where the view is of another camera: boxes and shares are not known there.
+    """
+    columns = follow_nobody(len(rows))
+    columns["label.person"][:] = rows.person
+    for step in range(len(rows) if scale is not None else 0):
+        seen = rows.seen_person(step, episode)
+        if seen is None or scale is None:
+            break
+        columns["label.person_share"][step] = seen.share
+        if seen.box is not None:
+            columns["label.person_box"][step] = np.array(seen.box) * (*scale, *scale)
+    return columns
+
+
+def follow_nobody(count: int) -> dict[str, Any]:
+    """The columns of `FOLLOWED` for so many frames of an episode that follows nobody."""
+    return {
+        "label.person": np.zeros(count, np.int64),
+        "label.person_box": np.full((count, 4), UNSEEN, np.float32),
+        "label.person_share": np.full(count, UNSEEN, np.float32),
+    }
+
+
 def motions(poses: F64) -> NDArray[np.float32]:
     """The motion to the next pose in each agent's frame [T, 3]: forward, left [m], yaw [rad].
 
@@ -259,7 +303,7 @@ def describe_features(film: Film) -> dict[str, Any]:
             "names": ["height", "width", "channels"],
             "info": {"unit": "mm", "is_depth_map": True},
         }
-    for name, own in FEATURES.items():
+    for name, own in (FEATURES | FOLLOWED if film.follows else FEATURES).items():
         names = None if own.names is None else list(own.names)
         features[name] = {"dtype": own.dtype, "shape": [own.size], "names": names}
     return features

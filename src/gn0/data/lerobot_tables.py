@@ -20,6 +20,7 @@ from gn0.data.lerobot_schema import (
     EPISODES,
     FEATURES,
     FILES_A_CHUNK,
+    FOLLOWED,
     INFO,
     LABELS,
     STATS,
@@ -99,12 +100,20 @@ def column_type(feature: Feature) -> pa.DataType:
 
 def label_table(columns: Mapping[str, Any], depth: Sequence[bytes] | None = None) -> pa.Table:
     """The frames of an episode, without the columns that count; `depth`: a PNG file each."""
-    arrays = [_column(columns[name], feature) for name, feature in LABELS.items()]
-    names = list(LABELS)
+    features = LABELS | {name: own for name, own in FOLLOWED.items() if name in columns}
+    arrays = [_column(columns[name], feature) for name, feature in features.items()]
+    names = list(features)
     if depth is not None:
         arrays.insert(0, depth_column(depth))
         names.insert(0, DEPTH_KEY)
     return pa.Table.from_arrays(arrays, names=names)
+
+
+def add_followed(labels: pa.Table, columns: Mapping[str, Any]) -> pa.Table:
+    """The frames of an episode with the columns of `FOLLOWED`, which other episodes have."""
+    for name, feature in FOLLOWED.items():
+        labels = labels.append_column(name, _column(columns[name], feature))
+    return labels
 
 
 def depth_column(files: Sequence[bytes]) -> pa.Array:
@@ -274,7 +283,8 @@ def encode_tasks(texts: Sequence[str]) -> bytes:
     )
 
 
-def frame_columns(depth: bool) -> dict[str, pa.DataType]:
+def frame_columns(depth: bool, follows: bool = False) -> dict[str, pa.DataType]:
     """Name and type of each column of a data file."""
-    columns = {name: column_type(feature) for name, feature in FEATURES.items()}
+    features = FEATURES | FOLLOWED if follows else FEATURES
+    columns = {name: column_type(feature) for name, feature in features.items()}
     return {DEPTH_KEY: DEPTH_TYPE, **columns} if depth else columns

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from gn0.data.cache_lerobot import scale_boxes
 from gn0.data.cache_webdataset import DISC_RADIUS, draw_dots
 from gn0.data.lerobot_schema import (
     DATA_MB,
@@ -31,6 +32,8 @@ from gn0.data.lerobot_schema import (
     Surroundings,
     describe_columns,
     fit_map,
+    follow_nobody,
+    followed_columns,
     frame_rate,
     label_columns,
     read_sensor,
@@ -38,6 +41,7 @@ from gn0.data.lerobot_schema import (
 from gn0.data.lerobot_tables import (
     EpisodeEntry,
     Span,
+    add_followed,
     depth_column,
     divide,
     encode_meta,
@@ -114,6 +118,9 @@ class ExporterLeRobot3(OwnPoses):
         columns = label_columns(
             rows, Surroundings(size, (start[1], start[0]), spots, goal is not None)
         )
+        if rows.person:
+            same = preset.name == job.source.preset.name
+            columns |= followed_columns(rows, episode, scale_boxes(preset) if same else None)
         files = _depth_files(job, way) if _deep(job) else None
         data = encode_table(label_table(columns, files))
         job.shelf.put(_part(job.folder, f"{place.number:06d}.parquet"), data)
@@ -133,6 +140,7 @@ class ExporterLeRobot3(OwnPoses):
             "beside": beside,
             "picture": list(preset.picture_size),
             "depth": [preset.depth.width, preset.depth.height] if _deep(job) else None,
+            **({"follows": True} if rows.person else {}),
         }
 
     def finish(self, records: Sequence[Record], job: Job) -> None:
@@ -144,6 +152,7 @@ class ExporterLeRobot3(OwnPoses):
             depth=None if head["depth"] is None else (head["depth"][0], head["depth"][1]),
             fps=_rate(job),
             tile=job.settings.preset(job.source).history_tile,
+            follows=any("follows" in record for record in records),
         )
         spans: list[dict[str, Span]] = [{} for _ in records]
         stats: list[dict[str, Any]] = [dict(record["stats"]) for record in records]
@@ -160,6 +169,10 @@ class ExporterLeRobot3(OwnPoses):
             for number in rows:
                 record = records[number]
                 labels = read_table(_part(folder, f"{record['number']:06d}.parquet"))
+                if film.follows and "follows" not in record:
+                    nobody = follow_nobody(record["length"])
+                    labels = add_followed(labels, nobody)
+                    stats[number] |= describe_columns(nobody)
                 task = tasks[record["task"]]
                 tables.append(number_table(labels, film.fps, number, index, task))
                 index += record["length"]

@@ -19,6 +19,7 @@ from gn0.data.lerobot_schema import (
     DEPTH_KEY,
     EPISODES,
     FEATURES,
+    FOLLOWED,
     STATS,
     TASKS,
     TEXT,
@@ -178,7 +179,9 @@ def _span(row: dict[str, Any], key: str) -> Span:
 
 def _columns(info: Info) -> dict[str, pa.DataType]:
     """Name and type of each column of a data file."""
-    columns = frame_columns(DEPTH_KEY in info.features)
+    columns = frame_columns(
+        DEPTH_KEY in info.features, not FOLLOWED.keys().isdisjoint(info.features)
+    )
     return {name: columns[name] for name in _OLD} if _is_old(info) else columns
 
 

@@ -17,7 +17,8 @@ from gn0.errors import PlanError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.pose_astar import plan_actions
 from gn0.missions.episode import MissionFollow
-from gn0.policies.oracle_people import FollowingOracle, GoalAmongPeople, SightOf
+from gn0.policies.oracle_among import GoalAmongPeople
+from gn0.policies.oracle_people import FollowingOracle, SightOf
 from gn0.sim.kinematics import heading_cycle
 from gn0.sim.state import Action, Observation
 

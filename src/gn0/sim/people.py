@@ -29,7 +29,7 @@ from gn0.people.person import RADIUS, EpisodePerson
 from gn0.people.reach import HX, HY, X0, Y0, X, Y
 from gn0.people.route import Routes, build_routes
 from gn0.sim.collision import Move
-from gn0.sim.ticks import move_in_ticks
+from gn0.sim.ticks import cut_move, move_in_ticks
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -158,6 +158,14 @@ class Company:
 
         move = move_in_ticks(self.navigation, x0, y0, places, self.agent, touches)
         return move, stopped
+
+    def move(self, x0: float, y0: float, x1: float, y1: float) -> Move:
+        """Move the agent from (x0, y0) towards (x1, y1) [m] for the time of an action."""
+        ticks = self.agent.step_ticks
+        move, stopped = self.go(x0, y0, cut_move(x0, y0, x1, y1, ticks))
+        if stopped:
+            self.wait(move.x, move.y, ticks - stopped)
+        return move
 
     def foretell(self, ticks: int) -> tuple[F64, F64]:
         """Where everybody is from now on with the agent out of their way; nobody moves.

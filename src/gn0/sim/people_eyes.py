@@ -13,12 +13,12 @@ import numpy as np
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import choose_level
 from gn0.avatars.light import LightProbes, find_probes
-from gn0.avatars.posed_bank import BUDGET, NEARER, PosedBank
-from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
+from gn0.avatars.posed_bank import BUDGET, NEARER
 from gn0.geometry import F32, F64, U8, Pose2D
 from gn0.people.cast import Cast
 from gn0.people.crowd import CrowdState
 from gn0.people.person import PEOPLE_MOST, EpisodePerson
+from gn0.people.poser import name_posed, open_posed
 from gn0.people.shown import PoseShown, show_person
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
@@ -73,7 +73,7 @@ class Wanted:
 
 
 class PeopleEyes:
-    """Shows people in a scene; on a card they are posed there.
+    """Shows people in a scene; they are posed where they are drawn.
 
     Args:
         scene: where.
@@ -93,12 +93,7 @@ class PeopleEyes:
     ) -> None:
         self.scene, self.renderer = scene, renderer
         self.cast = Cast(bank)
-        self.posed: PosedBank | PosedBankDevice
-        drawer = renderer.renderer
-        if isinstance(drawer, HoldsParts):
-            self.posed = PosedBankDevice(drawer, budget)
-        else:
-            self.posed = PosedBank(budget)
+        self.posed = open_posed(renderer.renderer, self.cast.bank, budget)
         self._light = light
         self._probes: LightProbes | None = None
 
@@ -154,12 +149,7 @@ class PeopleEyes:
             ConfigError: together they are larger than the budget.
         """
         wanted = [each for view in views for each in view.clouds]
-        if isinstance(self.posed, PosedBankDevice):
-            names = iter([self.posed.name(slot) for slot in self.posed.fetch(wanted)])
-        else:
-            posed = self.posed.fetch(wanted)
-            self.posed.tell(self.renderer, posed)
-            names = iter([each.name for each in posed])
+        names = iter(name_posed(self.posed, self.renderer, wanted))
         condition = self._light
         change = () if condition is None else (condition,)
         return [

@@ -361,13 +361,9 @@ class Simulator:
 
     def _move(self, x1: float, y1: float) -> Move:
         """Move towards (x1, y1) [m] for the time of an action, everybody else with it."""
-        company, x, y, ticks = self._company, self._x, self._y, self.agent.step_ticks
-        if not company:
-            return move_agent(self.navigation, x, y, x1, y1, self.agent)
-        move, stopped = company.go(x, y, cut_move(x, y, x1, y1, ticks))
-        if stopped:
-            company.wait(move.x, move.y, ticks - stopped)
-        return move
+        if self._company:
+            return self._company.move(self._x, self._y, x1, y1)
+        return move_agent(self.navigation, self._x, self._y, x1, y1, self.agent)
 
     def _slip(self, code: int) -> tuple[float, bool]:
         """Do FORWARD, LEFT or RIGHT with the body's noise: metres covered, and whether cut."""

@@ -19,6 +19,7 @@ from gn0.sim.sensor.table import carry_sensors
 from gn0.suites.suite import load_suite_scene
 
 LOADER = f"{__name__}:load_look"  # for `gn0.render.share.client.DrawServer`
+POSER = "gn0.people.poser:open_poser"  # likewise; bodies are loaded in that process alone
 SHARED: frozenset[str] = frozenset({"cuda"})  # backends that one process draws with for all
 
 
@@ -134,5 +135,5 @@ def open_run_drawing(backend: str, executor: str) -> Iterator[DrawServer | None]
     if drawn_by not in SHARED or executor != "process":
         yield None
         return
-    with DrawServer(drawn_by, LOADER) as server:
+    with DrawServer(drawn_by, LOADER, pose=POSER) as server:
         yield server

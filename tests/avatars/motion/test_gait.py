@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gn0.avatars.identity import Identity
+from gn0.avatars.motion import stepping
 from gn0.avatars.motion.cycles import loop_closure
 from gn0.avatars.motion.feet import find_contacts, measure_soles, move_joints
 from gn0.avatars.motion.gait import PHASES, SPEEDS, walk_motion
@@ -28,7 +29,6 @@ from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.play import play_motion
 from gn0.avatars.motion.standing import ease
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS
-from gn0.avatars.motion.stepping import Steps
 from gn0.avatars.person import shape_identity
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import SkinWeights, pose_joints, skin_points
@@ -380,11 +380,15 @@ def test_motions_are_played_at_a_rate() -> None:
         play_motion(library.motion("wave"), 5.0, 0.1)
 
 
-STEPS = (Steps(1, True, 0.0, 0.0), Steps(0, False, -0.04, 0.0), Steps(0, True, 0.012, 0.3))
+STEPS = (
+    stepping.Steps(1, True, 0.0, 0.0),
+    stepping.Steps(0, False, -0.04, 0.0),
+    stepping.Steps(0, True, 0.012, 0.3),
+)
 
 
 @pytest.mark.parametrize("steps", [(), STEPS])
-def test_blends_are_the_same_bits_together_and_alone(steps: tuple[Steps, ...]) -> None:
+def test_blends_are_the_same_bits_together_and_alone(steps: tuple[stepping.Steps, ...]) -> None:
     library = ClipLibrary(measure_build(STANDING_JOINTS))
     blends = [
         (("walk", 0.3, 1.0), ("idle_1", 0.0, 0.0), 0.25),

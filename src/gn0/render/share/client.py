@@ -9,6 +9,7 @@ import queue
 import sys
 import tempfile
 import weakref
+from collections import ChainMap, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -61,10 +62,11 @@ from gn0.render.share.messages import (
     open_socket,
     send_message,
 )
-from gn0.render.share.parts import Cloud, PartRows
+from gn0.render.share.parts import Cloud, PartRows, Player, Posed
 
 VIEWS = 32  # of a request at most: one area holds their pictures
 START_LIMIT = 120.0  # s: the first start compiles kernels
+POSES = 4096  # names of posed people that are known at a time
 GOES_ON = "give the same command again: it goes on where it stopped"
 
 
@@ -96,6 +98,7 @@ class DrawConnection:
         self._number = self._areas = 0
         self._floor = self._shown = ""  # that was sent last
         self._clouds: dict[str, str] = {}  # digest of what was sent last, by name
+        self._players: dict[bytes, int] = {}
 
     @cached_property
     def drawn_by(self) -> DrawnBy:
@@ -220,6 +223,23 @@ class DrawConnection:
             os.close(descriptor)
         self._clouds[name] = digest
 
+    def tell_player(self, source: Mapping[str, Any]) -> int:
+        """The number of somebody whom the other process poses; it is told of them once.
+
+        Raises:
+            DeviceError: the drawing process is gone.
+        """
+        key = msgspec.json.encode(source)
+        number = self._players.get(key)
+        if number is None:
+            number = len(self._players) + 1
+            try:
+                send_message(self._socket, Player(number, dict(source)))
+            except OSError:
+                raise _lost() from None
+            self._players[key] = number
+        return number
+
     def _ask(self, message: msgspec.Struct) -> Drawn | DrawnBy:
         """The answer to a message.
 
@@ -291,6 +311,21 @@ class RendererShared:
         self._sources: dict[str, dict[str, Any]] = {}
         self._floors: dict[str, Floor] = {}
         self._parts: dict[str, tuple[GaussianCloud, str]] = {}
+        self._posed: OrderedDict[str, Posed] = OrderedDict()
+
+    @property
+    def poses(self) -> bool:
+        """Whether the drawing process poses people itself.
+
+        Raises:
+            DeviceError: it is gone.
+        """
+        return self._connection.drawn_by.poses
+
+    @property
+    def _known(self) -> Mapping[str, object]:
+        """By the names of clouds that instances may have."""
+        return ChainMap[str, object](self._posed, self._parts)  # type: ignore[arg-type]
 
     @cached_property
     def traits(self) -> Traits:
@@ -325,6 +360,26 @@ class RendererShared:
         if known is None or known[0] is not cloud:
             check_named(name, cloud)
             self._parts[name] = (cloud, digest_part(cloud))
+
+    def name_posed(self, source: Mapping[str, Any], how: tuple[str | int | float, ...]) -> str:
+        """A name for instances of somebody in a pose, of whom no splats are sent.
+
+        The latest `POSES` names are known.
+
+        Args:
+            source: who, and where the drawing process finds it, as its poser takes it.
+            how: the pose, likewise.
+
+        Raises:
+            DeviceError: the drawing process is gone.
+        """
+        posed = Posed(self._connection.tell_player(source), how)
+        name = f"posed {posed.player} {' '.join(map(str, how))}"
+        self._posed[name] = posed
+        self._posed.move_to_end(name)
+        while len(self._posed) > POSES:
+            self._posed.popitem(last=False)
+        return name
 
     def add(self, key: str, load: Callable[[], Any], digest: str = "") -> None:
         """Name a scene by its splats.
@@ -403,7 +458,7 @@ class RendererShared:
         check_outputs(outputs)
         if not isinstance(keys, str) and len(keys) != len(matrices):
             raise RenderError(f"{len(keys)} keys for {len(matrices)} views", where="keys")
-        moving = check_parts(parts, len(matrices), self._parts) if parts else []
+        moving = check_parts(parts, len(matrices), self._known) if parts else []
         some = [
             self.ask(
                 key, camera, matrices[rows], outputs, background,
@@ -450,12 +505,13 @@ class RendererShared:
         if key not in self._sources:
             raise RenderError(f"no scene {key!r} was added", remedy="call add_source first")
         rows: PartRows | None = None
-        moving = check_parts(parts, len(matrices), self._parts) if parts else []
+        moving = check_parts(parts, len(matrices), self._known) if parts else []
         if any(moving):
             used = {one.cloud for instances in moving for one in instances}
-            for name in sorted(used):
+            sent = sorted(used - self._posed.keys())
+            for name in sent:
                 self._connection.send_cloud(*self._parts[name], name)
-            rows = PartRows.of_parts(moving, {name: name for name in used})
+            rows = PartRows.of_parts(moving, {name: name for name in sent}, self._posed)
         return self._connection.draw(
             key, self._sources[key], camera, matrices, outputs, background, encode,
             self._floors.get(key) if visible else None, millimetres=millimetres, shown=shown,
@@ -531,6 +587,7 @@ class DrawServer:
     Args:
         backend: "cuda" or "cpu".
         load: "module:function" that turns the source of a scene into its splats.
+        pose: "module:function" that makes of its renderer what poses people; "": nobody does.
         batch: views a call at most; 0 takes the default.
         note: told once what people should hear, such as smaller batches.
         threads: compute threads that it may use.
@@ -550,6 +607,7 @@ class DrawServer:
     batch: int = 0
     note: Callable[[str], None] = lambda text: None
     threads: int = 1
+    pose: str = ""
     address: str = ""
     card: str = ""
     encodes: bool = False
@@ -574,6 +632,8 @@ class DrawServer:
                     heard.put(message)
 
         command = ["--backend", self.backend, "--load", self.load]
+        if self.pose:
+            command += ["--pose", self.pose]
         if self.batch:
             command += ["--batch", str(self.batch)]
         self._process = WorkerProcess(

@@ -114,7 +114,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
         encode: files that are wanted as well.
         visible: draw from the visible sets of the `Floor` that was sent last.
         millimetres: depth as uint16, see `gn0.render.depth`.
-        parts: instances of clouds that were sent before.
+        parts: instances of clouds that were sent before, or that are posed over there.
     """
 
     number: int
@@ -143,11 +143,12 @@ class Who(msgspec.Struct, frozen=True, tag="who"):
 class DrawnBy(msgspec.Struct, frozen=True, tag="drawn by"):
     """Who draws: equal names, equal pictures; "cuda on host" is the emulation.
 
-    `labels` says whether it draws "semantic" and "instance".
+    `labels` says whether it draws "semantic" and "instance", `poses` whether it poses people.
     """
 
     name: str
     labels: bool = False
+    poses: bool = False
 
 
 class Drawn(msgspec.Struct, frozen=True, tag="drawn"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -79,15 +80,40 @@ class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
         )  # fmt: skip
 
 
+class Player(msgspec.Struct, frozen=True, tag="player"):
+    """Somebody whom the drawing process is to pose itself, from where it finds it.
+
+    Attributes:
+        number: what the `Posed` of that connection call it.
+        source: who, and where it is found: what the server's poser takes.
+    """
+
+    number: int
+    source: dict[str, Any]
+
+
+class Posed(msgspec.Struct, frozen=True, array_like=True):
+    """A player in a pose: a cloud of which only the key is sent.
+
+    Attributes:
+        player: number of it.
+        how: the pose, as the server's poser takes it.
+    """
+
+    player: int
+    how: tuple[str | int | float, ...]
+
+
 class PartRows(msgspec.Struct, frozen=True):
     """Instances of the views of a draw.
 
     Attributes:
         clouds: names of those in use.
-        cloud_of: int32 [P] which of them an instance is of.
+        cloud_of: int32 [P] which of them an instance is of; numbers after the last are `posed`.
         poses: float64 [P, 4, 4] part to world.
         gains: float32 [P, 4, 3]; NaN where there is none.
         ends: int32 [V] where the instances of each view end.
+        posed: clouds that are posed over there.
         nearer: float64 [P] m; empty where all are 0.
     """
 
@@ -96,13 +122,30 @@ class PartRows(msgspec.Struct, frozen=True):
     poses: bytes
     gains: bytes
     ends: bytes
+    posed: tuple[Posed, ...] = ()
     nearer: bytes = b""
 
     @classmethod
-    def of_parts(cls, parts: Sequence[Sequence[Instance]], names: Mapping[str, str]) -> PartRows:
-        """Of the instances of each view; `names` are what the other side calls their clouds."""
+    def of_parts(
+        cls,
+        parts: Sequence[Sequence[Instance]],
+        names: Mapping[str, str],
+        posed: Mapping[str, Posed] | None = None,
+    ) -> PartRows:
+        """Of the instances of each view.
+
+        Args:
+            parts: they.
+            names: what the other side calls their clouds.
+            posed: clouds that it poses itself, by the names that instances have for them.
+        """
         rows = [one for instances in parts for one in instances]
-        clouds = {name: n for n, name in enumerate(dict.fromkeys(names[r.cloud] for r in rows))}
+        posed = posed or {}
+        used = list(dict.fromkeys(row.cloud for row in rows))
+        clouds = list(dict.fromkeys(names[name] for name in used if name not in posed))
+        number = {name: clouds.index(names[name]) for name in used if name not in posed}
+        keys = [name for name in used if name in posed]
+        number |= {name: n for n, name in enumerate(keys, len(clouds))}
         gains = np.full((len(rows), 4, 3), np.nan, np.float32)
         for gain, row in zip(gains, rows, strict=True):
             if row.gain is not None:
@@ -110,15 +153,23 @@ class PartRows(msgspec.Struct, frozen=True):
         nearer = np.array([row.nearer for row in rows], np.float64)
         return cls(
             tuple(clouds),
-            np.array([clouds[names[row.cloud]] for row in rows], np.int32).tobytes(),
+            np.array([number[row.cloud] for row in rows], np.int32).tobytes(),
             np.array([row.pose for row in rows], np.float64).tobytes(),
             gains.tobytes(),
             np.cumsum([len(instances) for instances in parts], dtype=np.int32).tobytes(),
+            tuple(posed[name] for name in keys),
             nearer.tobytes() if nearer.any() else b"",
         )
 
-    def read(self, count: int, prefix: str = "") -> list[tuple[Instance, ...]]:
-        """The instances of each of `count` views, with `prefix` before the names of their clouds.
+    def read(
+        self, count: int, prefix: str = "", posed: Sequence[str] = ()
+    ) -> list[tuple[Instance, ...]]:
+        """The instances of each of `count` views.
+
+        Args:
+            count: views.
+            prefix: comes before the names of clouds that were sent.
+            posed: names of those that were posed here.
 
         Raises:
             FormatError: they are none.
@@ -134,7 +185,8 @@ class PartRows(msgspec.Struct, frozen=True):
         good = good and len(self.nearer) in (0, total * 8)
         good = good and len(ends) == count and bool((np.diff(ends, prepend=0) >= 0).all())
         good = good and (int(ends[-1]) if count else 0) == total
-        if not good or ((cloud_of < 0) | (cloud_of >= len(self.clouds))).any():
+        clouds = [*(f"{prefix}{name}" for name in self.clouds), *posed]
+        if not good or ((cloud_of < 0) | (cloud_of >= len(clouds))).any():
             raise FormatError(
                 "instances whose shape differs from what was announced", field="parts"
             )
@@ -143,9 +195,7 @@ class PartRows(msgspec.Struct, frozen=True):
         nearer = np.frombuffer(self.nearer, np.float64) if self.nearer else np.zeros(total)
         each = zip(cloud_of.tolist(), poses, gains, nearer.tolist(), strict=True)
         rows = [
-            Instance(
-                f"{prefix}{self.clouds[cloud]}", pose, None if np.isnan(gain).any() else gain, near
-            )
+            Instance(clouds[cloud], pose, None if np.isnan(gain).any() else gain, near)
             for cloud, pose, gain, near in each
         ]
         starts = [0, *ends.tolist()]

@@ -7,22 +7,42 @@ import mmap
 import os
 import socket
 import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import DeviceError, Gn0Error
+from gn0.errors import DeviceError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.render.encoding import MapPicture
 from gn0.render.share.messages import Area, Draw, Failed, Floor, find_places, send_message
 
 
+class Poser(Protocol):
+    """Poses people for the one that draws: `gn0.people.poser.PeoplePoser`.
+
+    Attributes:
+        at_once: how many clouds fit into a call.
+    """
+
+    at_once: int
+
+    def prepare(self, source: Mapping[str, Any]) -> None:
+        """Get somebody ready to be posed, in any thread; raises where nobody is to be found."""
+
+    def pose(
+        self, wanted: Sequence[tuple[Mapping[str, Any], tuple[str | int | float, ...]]]
+    ) -> list[str]:
+        """Names of clouds for one call of the renderer; of the thread that draws."""
+        ...
+
+
 @dataclass(eq=False)
 class Connection:
-    """One that asks: its socket, the area and the moving parts it has given.
+    """One that asks: its socket, the area, the moving parts and the people it has told of.
 
     `number` is its own, `closed` whether it is gone.
     """
@@ -33,6 +53,7 @@ class Connection:
     closed: bool = False
     parts: dict[str, GaussianCloud] = field(default_factory=dict)
     number: int = 0
+    players: dict[int, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def prefix(self) -> str:
@@ -70,6 +91,19 @@ class Request:
     draw: Draw
     floor: Floor | None = None
     shown: MapPicture | None = None
+
+    @property
+    def posed(self) -> list[tuple[dict[str, Any], tuple[str | int | float, ...]]]:
+        """Who is to be posed, and how, in the order of `PartRows.posed`.
+
+        Raises:
+            RenderError: somebody of whom the connection has not told.
+        """
+        players = self.connection.players
+        wanted = () if self.draw.parts is None else self.draw.parts.posed
+        if any(each.player not in players for each in wanted):
+            raise RenderError("a person of whom nobody told", where="drawing socket")
+        return [(players[each.player], each.how) for each in wanted]
 
     @property
     def alike(self) -> tuple[Any, ...]:

@@ -22,7 +22,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -55,8 +55,8 @@ from gn0.render.share.messages import (
     lay_files,
     open_socket,
 )
-from gn0.render.share.parts import Cloud
-from gn0.render.share.request import Connection, Request
+from gn0.render.share.parts import Cloud, Player
+from gn0.render.share.request import Connection, Poser, Request
 
 BATCH = 256  # views a call
 SWITCH = 0.0005  # s that a thread may keep the interpreter
@@ -73,6 +73,7 @@ class Server:
         load: turns the `source` of a request into splats.
         views: at most so many a call; halved when the device has too little memory.
         note: told what people should hear, once.
+        poser: poses people, who are then not sent as splats; None: nobody does.
     """
 
     def __init__(
@@ -81,8 +82,10 @@ class Server:
         load: Loader,
         views: int = BATCH,
         note: Callable[[str], None] = _log.warning,
+        poser: Poser | None = None,
     ) -> None:
         self._batch, self._load, self._views, self._note = batch, load, views, note
+        self._poser = poser
         self._known: set[str] = set()
         self._limited: dict[str, str] = {}  # floor whose visible sets a scene has
         self._loading: dict[str, Future[Any]] = {}
@@ -94,7 +97,9 @@ class Server:
         self._handing = Handing()
         device = batch.traits.device
         self._files = None if device is None else FileMaker(device)
-        self._drawn_by = DrawnBy(batch.traits.drawn_by, batch.traits.labels)
+        self._drawn_by = DrawnBy(
+            batch.traits.drawn_by, batch.traits.labels, poses=poser is not None
+        )
         self.tally = Tally()
 
     @property
@@ -118,7 +123,7 @@ class Server:
     def hear(self, connection: Connection) -> None:
         """Read a connection to its end."""
         inbox = Inbox(connection.socket)
-        decoder = msgspec.msgpack.Decoder(Area | Cloud | Draw | Floor | MapPicture | Who)
+        decoder = msgspec.msgpack.Decoder(Area | Cloud | Draw | Floor | MapPicture | Player | Who)
         floor: Floor | None = None
         shown: MapPicture | None = None
         try:
@@ -131,6 +136,11 @@ class Server:
                     floor = message
                 elif isinstance(message, MapPicture):
                     shown = message
+                elif isinstance(message, Player):
+                    connection.players[message.number] = message.source
+                    if self._poser is not None:  # what is wrong is said when it is drawn
+                        with contextlib.suppress(Gn0Error):
+                            self._poser.prepare(message.source)
                 elif isinstance(message, Who):
                     connection.send(self._drawn_by)
                 else:
@@ -241,7 +251,19 @@ class Server:
             groups.setdefault((*request.alike, turn), []).append(request)
         for group in groups.values():
             group.sort(key=lambda request: request.draw.key)
-            self._serve_group(group)
+            for some in self._cut(group):
+                self._serve_group(some)
+
+    def _cut(self, group: list[Request]) -> Iterator[list[Request]]:
+        """Runs of requests whose posed people fit into one call together."""
+        begin, clouds = 0, 0
+        for end, request in enumerate(group):
+            own = 0 if request.draw.parts is None else len(request.draw.parts.posed)
+            if end > begin and self._poser is not None and clouds + own > self._poser.at_once:
+                yield group[begin:end]
+                begin, clouds = end, 0
+            clouds += own
+        yield group[begin:]
 
     def _serve_group(self, group: list[Request]) -> None:
         good = []
@@ -307,7 +329,14 @@ class Server:
                 if cloud is None:
                     raise RenderError("a moving part that was not sent", where="drawing socket")
                 self._batch.name_cloud(f"{request.connection.prefix}{name}", cloud)
-            check_parts(draw.parts.read(draw.count), draw.count, draw.parts.clouds)
+            if draw.parts.posed and self._poser is None:
+                raise RenderError("nobody poses people here", where="drawing socket")
+            for source, _ in request.posed:
+                assert self._poser is not None
+                self._poser.prepare(source)
+            names = [f"posed {n}" for n in range(len(draw.parts.posed))]
+            rows = draw.parts.read(draw.count, posed=names)
+            check_parts(rows, draw.count, [*draw.parts.clouds, *names])
         floor = request.floor
         if floor is not None and self._limited.get(draw.key) != floor.name:
             self._batch.limit_to_visible(draw.key, floor.cloud, floor.grid, floor.eye_height)
@@ -322,10 +351,15 @@ class Server:
         keys = [r.draw.key for r in group for _ in range(r.draw.count)]
         moving: list[tuple[Instance, ...]] = []
         if any(r.draw.parts is not None for r in group):
+            wanted = [each for r in group for each in r.posed]
+            posed = [] if self._poser is None or not wanted else self._poser.pose(wanted)
             for r in group:
                 sent, count = r.draw.parts, r.draw.count
-                prefix = r.connection.prefix
-                moving += [()] * count if sent is None else sent.read(count, prefix)
+                if sent is None:
+                    moving += [()] * count
+                    continue
+                own, posed = posed[: len(sent.posed)], posed[len(sent.posed) :]
+                moving += sent.read(count, r.connection.prefix, own)
         for begin in range(0, len(views), self._views):
             end = min(begin + self._views, len(views))
             self._handing.make_room()
@@ -408,6 +442,7 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--backend", required=True)
     parser.add_argument("--load", required=True)
+    parser.add_argument("--pose", default="")
     parser.add_argument("--batch", type=int, default=BATCH)
     args = parser.parse_args()
     _, send = open_channel()
@@ -422,6 +457,8 @@ def main() -> int:
         device = batch.traits.device
         card = "CPU" if device is None else device.name
         load: Any = find_function(args.load)
+        pose: Any = find_function(args.pose) if args.pose else None
+        poser = None if pose is None else pose(batch)
         listener, address = open_listener()
     except Gn0Error as error:
         say(Refused(error.code, error.what, error.where, error.remedy))
@@ -429,7 +466,7 @@ def main() -> int:
     except Exception as error:  # whatever a driver does
         say(Refused(DeviceError.code, f"{type(error).__name__}: {error}"))
         return 1
-    server = Server(batch, load, args.batch, lambda text: say(Note(text)))
+    server = Server(batch, load, args.batch, lambda text: say(Note(text)), poser)
     threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
     say(Ready(address, args.backend, card, encodes=server.encodes))
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import compileall
 import contextlib
+import gc
 import importlib.util
 import os
 import shutil
@@ -40,7 +41,7 @@ BESIDE = [str(ROOT / "benchmarks"), str(ROOT / "tests" / "trials")]
 os.environ["PYTHONPATH"] = os.pathsep.join([*BESIDE, *filter(None, [os.environ.get("PYTHONPATH")])])
 
 # the same examples on every run, so that a change is judged by itself; `make search` draws new ones
-settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=60)
 settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile("steady")
 
@@ -54,6 +55,11 @@ if KEEPS_BYTECODE:
 # to a process of theirs mean it
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# what is imported and collected is there to stay, and is no garbage however often one looks; see
+# `pytest_collection_finish`
+gc.disable()
 
 
 def data_folder() -> Path | None:
@@ -91,6 +97,16 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if os.name == "posix" and trust_folder(kept):
         (made / "emulation").symlink_to(kept)
     return made
+
+
+@pytest.fixture
+def empty_cache(own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache that one test begins with nothing in it but, again, the emulation's kernels."""
+    (tmp_path / "cache").mkdir(mode=0o700)
+    if (own_cache / "emulation").exists():
+        (tmp_path / "cache" / "emulation").symlink_to(own_cache / "emulation")
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
 
 
 @pytest.fixture(scope="session")
@@ -265,6 +281,9 @@ class Clock:
 
 
 def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)  # what compiles a kernel makes objects by the million
+    gc.enable()
     if KEEPS_BYTECODE:  # what tests write themselves is edited faster than bytecode can tell
         sys.dont_write_bytecode = True
 

@@ -8,7 +8,6 @@ from gn0.errors import ConfigError
 from gn0.render.camera import Camera
 from gn0.render.cuda.tables import TILE
 
-
 _OF_HOST = ("sample", "spread")
 
 

@@ -35,7 +35,7 @@ def test_every_kernel_file_is_in_a_source() -> None:
 
 @pytest.mark.slow
 @compiler
-@pytest.mark.parametrize("arch", ["sm_75", "sm_80", "sm_90", "sm_100"])
+@pytest.mark.parametrize("arch", ["sm_75", "sm_90", "sm_100"])  # text differs before sm_80 only
 @pytest.mark.parametrize("source", kernel_sources(), ids=lambda s: f"{s.name}-{s.digest[:4]}")
 def test_every_source_compiles(source: KernelSource, arch: str) -> None:
     assert compile_source(source, arch).startswith(b"\x7fELF")

@@ -61,7 +61,7 @@ def check_path(grid: OccupancyGrid, path, start, goal) -> None:
     assert path.cost == pytest.approx(cost, abs=1e-9)
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(GRIDS, st.integers(0, 10**6), st.integers(0, 10**6))
 def test_astar_the_field_and_scipy_agree(blocked, pick_a, pick_b):
     cells = np.argwhere(~blocked)

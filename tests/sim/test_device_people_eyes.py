@@ -126,7 +126,7 @@ def test_codes_say_what_the_host_shows(episodes, bank, preset, monkeypatch) -> N
 
 
 def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -> None:
-    """To both sides, from walks into turns, feet that come after, and walks that begin from them."""
+    """To both sides, from walks into turns, late feet, and walks that begin from them."""
     (name, *_) = sorted(bank.names)
     goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
     looks = ((1.0, 75.0, 3.0), (1.4, -70.0, 2.0), (1.4, 0.0, 1.1), (1.7, 50.0, 0.5))

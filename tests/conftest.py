@@ -57,11 +57,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-# what is imported and collected is there to stay, and is no garbage however often one looks; see
-# `pytest_collection_finish`
-gc.disable()
-
-
 def data_folder() -> Path | None:
     """Folder of third-party data: `$GN0_DATA`, else ../shared/data beside the checkout."""
     folder = Path(os.environ.get("GN0_DATA", ROOT.parent / "shared" / "data"))
@@ -278,6 +273,13 @@ class Clock:
         self._config.get_terminal_writer().line(
             f"\n[{time.monotonic() - self._begun:.0f} s] {text}"
         )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """What is collected is there to stay: it is no garbage, however often one looks."""
+    if not session.config.pluginmanager.hasplugin("dsession"):  # who deals out tests collects none
+        gc.disable()
 
 
 def pytest_collection_finish() -> None:

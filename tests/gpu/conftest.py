@@ -27,7 +27,7 @@ class Scale:
     bev: int
 
 
-TINY = Scale(splats=1000, views=2, pixels=40, bev=48)
+TINY = Scale(splats=2000, views=2, pixels=40, bev=48)
 FULL = Scale(splats=300_000, views=4, pixels=224, bev=512)
 
 

@@ -284,7 +284,7 @@ def pytest_collection(session: pytest.Session) -> None:
 
 def pytest_collection_finish() -> None:
     gc.freeze()
-    gc.set_threshold(50_000, 20, 20)  # what compiles a kernel makes objects by the million
+    gc.set_threshold(10_000, 10, 10)  # what compiles a kernel makes objects by the million
     gc.enable()
     if KEEPS_BYTECODE:  # what tests write themselves is edited faster than bytecode can tell
         sys.dont_write_bytecode = True

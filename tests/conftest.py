@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import compileall
 import contextlib
+import gc
 import importlib.util
 import os
 import shutil
@@ -40,7 +41,7 @@ BESIDE = [str(ROOT / "benchmarks"), str(ROOT / "tests" / "trials")]
 os.environ["PYTHONPATH"] = os.pathsep.join([*BESIDE, *filter(None, [os.environ.get("PYTHONPATH")])])
 
 # the same examples on every run, so that a change is judged by itself; `make search` draws new ones
-settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=60)
 settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile("steady")
 
@@ -91,6 +92,16 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if os.name == "posix" and trust_folder(kept):
         (made / "emulation").symlink_to(kept)
     return made
+
+
+@pytest.fixture
+def empty_cache(own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache that one test begins with nothing in it but, again, the emulation's kernels."""
+    (tmp_path / "cache").mkdir(mode=0o700)
+    if (own_cache / "emulation").exists():
+        (tmp_path / "cache" / "emulation").symlink_to(own_cache / "emulation")
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
 
 
 @pytest.fixture(scope="session")
@@ -264,7 +275,17 @@ class Clock:
         )
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """What is collected is there to stay: it is no garbage, however often one looks."""
+    if not session.config.pluginmanager.hasplugin("dsession"):  # who deals out tests collects none
+        gc.disable()
+
+
 def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.set_threshold(10_000, 10, 10)  # what compiles a kernel makes objects by the million
+    gc.enable()
     if KEEPS_BYTECODE:  # what tests write themselves is edited faster than bytecode can tell
         sys.dont_write_bytecode = True
 

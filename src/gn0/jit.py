@@ -117,6 +117,25 @@ def _key_of(kernel: Any) -> str:
     return f"py{sys.version_info.major}{sys.version_info.minor}-{kernel_key(kernel)}"
 
 
+def _defer_blas() -> None:
+    """Let Numba look for a BLAS when a kernel asks for one, not with the first of all kernels.
+
+    It looks in SciPy's linear algebra, which takes 0.15 s to import: a quarter of the start of each
+    process that runs a kernel, and ours multiply no matrices.
+    """
+    with contextlib.suppress(ImportError, AttributeError):  # no part of Numba's interface
+        import numba.np.linalg as linalg
+
+        find: Callable[[], None] = linalg.ensure_blas
+
+        def find_when_asked() -> None:
+            if hasattr(sys.modules.get("numba.np.arraymath"), "_HAVE_BLAS"):  # which asks first
+                find()
+
+        if "numba.np.arraymath" not in sys.modules:
+            linalg.ensure_blas = find_when_asked
+
+
 def _forgive(kernel: Any) -> Any:
     """The kernel, with a cache by what it is made of, which may fail.
 
@@ -135,6 +154,7 @@ def _forgive(kernel: Any) -> Any:
         nonlocal placed
         if not placed:
             placed = True
+            _defer_blas()
             home = _home_of(kernel)
             cache._cache_path = str(home)
             cache._cache_file = IndexDataCacheFile(str(home), _NAME, home.name)

@@ -157,7 +157,7 @@ def test_a_garment_reads_nothing_outside_its_folder(tmp_path: Path) -> None:
         load_mhclo(path)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.data())
 def test_mutated_garments_give_our_error(tmp_path_factory, data) -> None:  # type: ignore[no-untyped-def]
     folder = tmp_path_factory.mktemp("cloth")

@@ -73,7 +73,7 @@ def unbroken(
     return out
 
 
-@pytest.mark.parametrize(("workers", "shuffle"), [(2, None), (3, 11), (1, 5)])
+@pytest.mark.parametrize(("workers", "shuffle"), [(3, 11), (1, 5)])
 def test_any_number_of_workers_in_any_order_gives_the_same_bytes(
     flats_suite: Suite,
     unbroken: Path,

@@ -47,7 +47,8 @@ def suite(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
     found.with_profile.return_value = found.with_map_mode.return_value = found
     found.with_track.return_value = found
     found.about.success_radius, found.about.max_steps, found.map_mode = 3.0, 500, "prior"
-    for reader in ("suite.open_suite", "named_suites.open_named"):
+    # in this order: who is imported here takes what is there then, and keeps it
+    for reader in ("named_suites.open_named", "suite.open_suite"):
         monkeypatch.setattr(f"gn0.suites.{reader}", lambda *args, **named: found)
     return found
 

@@ -109,6 +109,7 @@ def twice(x: float) -> float:
 
 twice(1.5)
 print(kernel_cache())
+assert not kernel_cache() or "scipy.linalg" not in sys.modules, "which takes long to import"
 """
 
 

@@ -99,7 +99,7 @@ def test_a_comment_compiles_nothing_and_a_constant_what_uses_it(tmp_path: Path) 
     source = "from gn0.jit import njit\n{}\n@njit\ndef twice(x):\n    return {} * x\n"
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     said = []
-    for number, (above, factor) in enumerate([("", 2), ("# a comment\n", 2), ("", 3), ("", 2)]):
+    for number, (above, factor) in enumerate([("", 2), ("", 3), ("# a comment\n", 2)]):
         folder = tmp_path / f"checkout {number}"
         folder.mkdir()
         (folder / "kernels.py").write_text(source.format(above, factor))
@@ -107,4 +107,4 @@ def test_a_comment_compiles_nothing_and_a_constant_what_uses_it(tmp_path: Path) 
         run = [sys.executable, "-c", textwrap.dedent(TRIAL)]
         done = subprocess.run(run, env=environment, capture_output=True, text=True, check=True)
         said.append(done.stdout.strip())
-    assert said == ["6.0 0 1", "6.0 1 0", "9.0 0 1", "6.0 1 0"]
+    assert said == ["6.0 0 1", "9.0 0 1", "6.0 1 0"]

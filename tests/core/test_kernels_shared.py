@@ -68,10 +68,10 @@ def start(home: Path, program: str) -> subprocess.Popen[str]:
 
 
 def test_one_of_many_compiles(home: Path) -> None:
-    """Two kernels, three processes at once: two compilations in all."""
-    users = [start(home, USE) for _ in range(3)]
+    """Two kernels, two processes at once: two compilations in all."""
+    users = [start(home, USE) for _ in range(2)]
     told = [user.communicate("\n")[0] for user in users]
-    assert [user.returncode for user in users] == [0, 0, 0]
+    assert [user.returncode for user in users] == [0, 0]
     assert sum(map(int, told)) == 2
     assert start(home, USE).communicate("\n")[0] == "0\n"
 

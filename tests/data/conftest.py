@@ -41,7 +41,9 @@ def data_suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
     episodes[1] = change(episodes[1], light=EVENING)
     episodes[2] = change(episodes[2], light=EVENING)
     episodes.append(change(episodes[3], id="zwilling"))
-    return save_suite(root / "suite", [scene], episodes, name="walks", max_steps=60)
+    return save_suite(
+        root / "suite", [scene], episodes, name="walks", camera="tiny_128", max_steps=60
+    )
 
 
 @pytest.fixture(scope="session")

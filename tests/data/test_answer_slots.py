@@ -195,7 +195,7 @@ def accepts(slots: AnswerSlots, ids: list[int], current: Any = None) -> Answer |
 MENDS = ["", "0", "<", ">", ",", " ", "[", "}", '"', "<FWD>", "<7>", "<1000>", "</action>", "7"]
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(forms, st.booleans(), st.data())
 def test_the_decoder_accepts_exactly_what_the_strict_parser_reads(
     form: AnswerForm, knows: bool, data: st.DataObject

@@ -205,7 +205,7 @@ def test_what_is_written_is_read(
         parse_answer(text, points=len(tokens or ()) + 1, layout=layout)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(actions, pairs, orders, layouts, st.data())
 def test_what_the_strict_parser_takes_is_what_would_be_written(
     codes: list[int], tokens: list, order: AnswerOrder, layout: AnswerLayout, data: st.DataObject

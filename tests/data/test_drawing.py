@@ -78,7 +78,8 @@ def alone(walks: Suite, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.usefixtures("served")
 @pytest.mark.parametrize(
-    ("workers", "batch"), [(1, 0), (2, 7), pytest.param(4, 1, marks=pytest.mark.slow)]
+    ("workers", "batch"),
+    [(2, 7), *(pytest.param(*few, marks=pytest.mark.slow) for few in ((1, 0), (4, 1)))],
 )
 def test_one_process_that_draws_gives_the_same_bytes(
     walks, alone, tmp_path, files_of, workers, batch

@@ -29,7 +29,7 @@ def watched(webdataset):
         rollout = webdataset.rollout(name)
         simulator = open_simulator(
             webdataset.scene(rollout.episode.scene_id), sensors=SENSORS,
-            light=rollout.episode.light,
+            light=rollout.episode.light, preset=webdataset.about.camera,
         )  # fmt: skip
         observations = [simulator.reset(rollout.episode)]
         poses = [simulator.pose]
@@ -145,8 +145,9 @@ def test_goal_pictures_are_the_simulators_and_are_kept(webdataset_once, lerobot)
     for name in (webdataset_once.sampled[0], webdataset_once.sampled[1]):
         episode = webdataset_once.episode(name)
         simulator = open_simulator(
-            webdataset_once.scene(episode.scene_id), sensors={"goal_picture"}, light=episode.light
-        )
+            webdataset_once.scene(episode.scene_id), sensors={"goal_picture"},
+            light=episode.light, preset=webdataset_once.about.camera,
+        )  # fmt: skip
         shown = simulator.reset(episode).goal_picture
         drawn = next(read_frames(webdataset_once, name, ("goal_picture",), exact=True))[
             "goal_picture"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -81,7 +82,9 @@ def test_damage_anywhere_is_named_and_repaired(
 def test_a_damaged_member_is_named_by_its_sample(webdataset, copy_of) -> None:
     folder = copy_of(webdataset)
     shard = folder / "pictures" / "webdataset" / f"{webdataset.about.parts[0].name}.tar"
-    flip(shard, 3000)
+    with tarfile.open(shard) as members:
+        first = next(one for one in members if one.name.endswith("rgb.jpg"))
+    flip(shard, first.offset_data + 100)
     (damage,) = verify_dataset(folder).damages
     name = webdataset.sampled[0]
     assert damage.rows == (f"rgb.jpg of row 1 (episode {name!r}, step 0)",)

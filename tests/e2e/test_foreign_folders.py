@@ -47,7 +47,7 @@ RUNS = {
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
     "view --results": ["{scene}", "--results", "{it}", "--check", "--no-browser", "--port", "0"],
     "bench run into it": ["{suite}", "--policy", "random", "--no-report", "--out", "{it}"],
-    "policy show --from": ["bae", "{suite}", "--from", "{it}", "--out", "{new}.png"],
+    "policy show --from": ["bae", "{suite}", "--from", "{it}", "--pick=1", "--out", "{new}.png"],
 }
 SUITES = {
     "bench run": ["{it}", "--episodes", "1", "--no-report", "--out", "{new}"],

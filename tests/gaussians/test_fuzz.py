@@ -10,17 +10,14 @@ from gn0.errors import FormatError
 from gn0.seeds import random_stream
 from gn0_trials.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
-# clips that take milliseconds each: hundreds with every change, thousands in the slow run
-DEAR = {
-    "fbx": 600, "glb-skin": 1_000, "episodes-people": 500, "bank": 500, "avatar": 1_000,
-    "people": 1_000, "mhclo": 1_000, "mhclo-mesh": 1_000,
-}  # fmt: skip
+# files that take milliseconds each: hundreds with every change, thousands in the slow run
+DEAR = {"fbx": 300, "episodes-people": 300, "bank": 300, "glb-skin": 500, "avatar": 500}
 
 
-@pytest.mark.parametrize("count", [3_000, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1_000, pytest.param(10_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", sorted(TARGETS))
 def test_thousands_of_mutants(name, count):
-    count = min(count, DEAR.get(name, count)) if count == 3_000 else count
+    count = min(count, DEAR.get(name, 1_000) * count // 1_000)
     report = fuzz_reader(find_target(name), count=count, seed=2026)
     assert [f"{f.index}: {f.what}" for f in report.faults] == []
     assert report.foreign == 0 and report.hangs == 0

@@ -31,7 +31,7 @@ counts = st.sampled_from([None, "u1", "i1", "u2", "i2", "u4", "i4"])
     st.sampled_from("<>"),
     st.data(),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_rows_end_where_they_were_written_to_end(columns, rows, order, data):
     properties = tuple(PlyProperty(f"p{i}", t, c) for i, (t, c) in enumerate(columns))
     body = b""

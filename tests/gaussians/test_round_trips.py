@@ -48,7 +48,7 @@ def through(save, cloud):
 
 
 @given(clouds())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_ply_round_trip(cloud):
     """Positions and SH bit for bit; the rest to float precision of their logs."""
     file, _ = through(save_ply, cloud)
@@ -64,7 +64,7 @@ def test_ply_round_trip(cloud):
 
 
 @given(clouds())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_packed_round_trip_is_within_one_step(cloud):
     """Half a step of each field's bits over its chunk's range; a chunk holds all of these."""
     file, order = through(save_ply_packed, cloud)

@@ -281,7 +281,7 @@ def test_what_is_wrong_is_told_with_file_row_and_column(
 @given(
     cut=st.floats(0, 1), flips=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=4)
 )
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 def test_a_damaged_file_gives_an_error_of_ours_or_valid_episodes(
     tmp_path_factory: pytest.TempPathFactory, cut: float, flips: list[tuple[float, int]]
 ) -> None:

@@ -179,7 +179,7 @@ keys = st.sampled_from(
 kinds = st.sampled_from(["discrete", "nav_delta", "text", "auto", ""]) | things
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     things
     | st.dictionaries(keys, things)

@@ -123,8 +123,8 @@ def rooms():
     ]
 
 
-def test_everything_that_agents_see(rooms, tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+@pytest.mark.usefixtures("empty_cache")
+def test_everything_that_agents_see(rooms) -> None:
     scenes, episodes = rooms
     settings = {"sensors": ALL, "episodes": episodes, "max_steps": 19, "preset": "vlnce"}
     device = DeviceHost(2)
@@ -173,9 +173,9 @@ SQUARES = {
 }
 
 
+@pytest.mark.usefixtures("empty_cache")
 @pytest.mark.parametrize("first", [False, True], ids=["last", "first"])
-def test_ego_maps_and_arrows_are_those_of_vector_env(rooms, tmp_path, monkeypatch, first) -> None:
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+def test_ego_maps_and_arrows_are_those_of_vector_env(rooms, first) -> None:
     scenes, episodes = rooms
     settings = {"sensors": ("ego_map", "occupancy"), "episodes": episodes, "max_steps": 11,
                 "preset": "vlnce", "map_view": SQUARES, "channels_first": first}  # fmt: skip
@@ -219,13 +219,11 @@ def test_ego_maps_take_the_same_memory_whatever_the_map_and_need_no_colours(room
     assert taken == [3 * 20 * 20 * 3] * 2
 
 
+@pytest.mark.usefixtures("empty_cache")
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_ego_maps_of_all_kinds_of_buildings_are_the_same_in_all_simulators(
-    kind, tmp_path, monkeypatch
-) -> None:
+def test_ego_maps_of_all_kinds_of_buildings_are_the_same_in_all_simulators(kind) -> None:
     """The building's own map, and splats strewn over it."""
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
     scene = build_map_scene(build_occupancy(KINDS[kind].draft(3, size="small").mesh), kind)
     rng = np.random.default_rng(4)
     low, high = scene.bounds
@@ -350,7 +348,7 @@ def test_the_host_need_not_know_where_agents_are(rooms, tiny, final, monkeypatch
     settings = {"episodes": episodes, "sensors": ("rgb", "depth"), "preset": tiny, "max_steps": 4,
                 "ahead": 3, "final_pictures": final}  # fmt: skip
     envs = [
-        VectorEnvDevice(5, scenes, device=device, renderer=kind(device), **settings)
+        VectorEnvDevice(3, scenes, device=device, renderer=kind(device), **settings)
         for kind, device in ((RendererBatch, DeviceHost(3)), (RendererByHost, DeviceHost()))
     ]
     seen, told = zip(*(env.reset(seed=4) for env in envs), strict=True)
@@ -363,7 +361,7 @@ def test_the_host_need_not_know_where_agents_are(rooms, tiny, final, monkeypatch
             (envs[0].episodes[n].scene_id, envs[0].episodes[n].light is None)
             for n in told[0]["episode"].numpy()
         )
-        actions = rng.choice(4, 5, p=[0.1, 0.5, 0.2, 0.2])
+        actions = rng.choice(4, 3, p=[0.1, 0.5, 0.2, 0.2])
         if not final:
             device = envs[0].device
             there = device.upload(actions)
@@ -527,9 +525,9 @@ def test_pictures_are_reduced_as_pillow_reduces_them(size, out) -> None:
         np.testing.assert_array_equal(mine, reduce_picture(picture, *out))
 
 
-def test_the_renderer_of_the_device_draws_for_them(rooms, tmp_path, monkeypatch) -> None:
+@pytest.mark.usefixtures("empty_cache")
+def test_the_renderer_of_the_device_draws_for_them(rooms) -> None:
     """By its name, for two scenes, one of them at dusk; close to what the CPU draws."""
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
     scenes, episodes = rooms
     settings = {"sensors": ("rgb", "depth", "bev"), "episodes": episodes, "preset": "vlnce"}
     env = VectorEnvDevice(2, scenes, device=DeviceHost(1), **settings)

@@ -110,11 +110,19 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
     return there
 
 
-def test_codes_say_what_the_host_shows(episodes, bank, preset) -> None:
+def show_alone(env, monkeypatch) -> None:
+    """From now on it is found how people look, but nobody is posed or drawn."""
+    drawn, people = env._eyes.draw(env.simulator), env._eyes.people
+    monkeypatch.setattr(people.posed, "find", lambda *_: 0)
+    monkeypatch.setattr(env._eyes, "draw", lambda simulator: people.show(simulator) and drawn)
+
+
+def test_codes_say_what_the_host_shows(episodes, bank, preset, monkeypatch) -> None:
     """Clip, frame, blend, look and level of each, and where it stands, over 24 steps."""
     env, cast = open_device_env(episodes, bank, preset), Cast(bank)
     names = [e.id for e in episodes]
     env.reset(seed=0, options={"episode": names})
+    show_alone(env, monkeypatch)
     clips = set()
     for row in np.random.default_rng(0).choice([1, 2, 3], (24, 3)):
         infos = env.step(row)[4]
@@ -123,10 +131,7 @@ def test_codes_say_what_the_host_shows(episodes, bank, preset) -> None:
 
 
 def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -> None:
-    """To both sides, from walks into turns, feet that come after, and walks that begin from them.
-
-    Looks alone: nobody is posed or drawn.
-    """
+    """To both sides, from walks into turns, late feet, and walks that begin from them."""
     (name, *_) = sorted(bank.names)
     goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
     looks = ((1.0, 75.0, 3.0), (1.4, -70.0, 2.0), (1.4, 0.0, 1.1), (1.7, 50.0, 0.5))
@@ -148,9 +153,7 @@ def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -
     ]  # fmt: skip
     env, cast = open_device_env(episodes, bank, preset, count=2, sensors=("rgb",)), Cast(bank)
     env.reset(options={"episode": [e.id for e in episodes]})
-    drawn, people = env._eyes.draw(env.simulator), env._eyes.people
-    monkeypatch.setattr(people.posed, "find", lambda *_: 0)
-    monkeypatch.setattr(env._eyes, "draw", lambda simulator: people.show(simulator) and drawn)
+    show_alone(env, monkeypatch)
     alone, blends = set(), set()
     for k in range(120):
         infos = env.step(np.full(2, 2 + k % 2))[4]

@@ -382,7 +382,7 @@ GOOD = {
 }
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(kind=st.sampled_from(sorted(GOOD)), seed=st.integers(0, 2**32))
 def test_damage_gives_our_errors_alone(kind, seed, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "mutant"

@@ -101,7 +101,7 @@ def scenes(draw: st.DrawFn) -> FollowScene:
     )  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     scenes(), st.lists(st.integers(0, 39), min_size=1, max_size=8, unique=True), st.integers(0, 99),
     st.booleans(), st.sampled_from(("behind", "front")), st.sampled_from((1.5, 3.0)),

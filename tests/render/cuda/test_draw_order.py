@@ -54,8 +54,12 @@ def test_the_order_of_threads_and_blocks_cannot_show(want: list[bytes], seed: in
     assert bytes_of(device, Drawer(device)) == want
 
 
+# several groups, parts that fit none; whole warps list everything. Other files here take the same
+# sizes: the emulation compiles each once
+SMALL = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2, split=7)
+ROUGH = Tuning(threads=256, buckets=256, capacity=256, stage=64, large=0, chunks=1, split=500)
 TUNINGS = [
-    Tuning(capacity=128, buckets=128, stage=32),  # several groups; parts that fit none
+    SMALL,
     Tuning(
         threads=256, buckets=256, stage=64, views=1, chunks=3, large=0
     ),  # whole warps list everything
@@ -87,8 +91,7 @@ def test_quarters_of_tiles_cannot_show(width: int) -> None:
     scenes = ((flat_camera(width, 43), flat_views(2)), (flat_bev(72)[0], flat_bev(72)[1][None]))
     device = DeviceHost(seed=3)
     want = bytes_of(device, Drawer(device), scenes)
-    small = Tuning(capacity=128, buckets=128, stage=64, split=7)
-    for tuning in (small, replace(small, threads=256, capacity=256, buckets=256, split=500)):
+    for tuning in (SMALL, ROUGH):
         drawer = Drawer(device, tuning)
         assert bytes_of(device, drawer, scenes) == want
         assert max(drawer._longest.values()) > 2 * tuning.capacity
@@ -102,8 +105,8 @@ def test_a_sample_of_the_count_cannot_show(
 ) -> None:
     """Lists get room by some of the splats, many chunks a block or one, and a tail counts too."""
     monkeypatch.setattr(draw, "_SAMPLED", 1)
-    for more in ({"spread": 4}, {"spread": 10**6}, {"views": 2, "large": 0}):
-        drawer = Drawer(DeviceHost(seed=5), Tuning(sample=sample, **more))
+    for tuning in (Tuning(spread=4), Tuning(spread=10**6), SMALL):
+        drawer = Drawer(DeviceHost(seed=5), replace(tuning, sample=sample))
         drawer._first_density = 8.0
         assert bytes_of(drawer.device, drawer) == want
         assert drawer.repeats == 0

@@ -12,11 +12,13 @@ from gn0.render.cuda.records import PlaceLists, ScanCounts, SumCounts
 from gn0.render.cuda.replay import NO_ROOM
 from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import NOWHERE, VIEW
-from gn0.render.cuda.tune import MANY
+from gn0.render.cuda.tune import MANY, Tuning
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
 SCAN, CLASSES = 2048, 18  # counts a block; words of `Classes`
+# any sizes will do; the checked emulation has compiled these for test_draw_races.py
+SMALL = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
 
 
 @pytest.mark.parametrize("checked", [False, True])
@@ -28,7 +30,7 @@ def test_scans_arrange_all_lists(tiles: int, stride: int, over: bool, checked: b
     stride: 0 where all lists have the same room, else of what was counted before.
     """
     device = DeviceHost(seed=tiles, checked=checked)
-    kernels = device.load(kernel_source(MANY))
+    kernels = device.load(kernel_source(SMALL if checked else MANY))
     stream = np.random.default_rng(tiles)
     many = np.minimum(stream.lognormal(5, 2.5, tiles), 2.0**20).astype(np.uint32)
     counted = many // 4 if stride == 4 else many

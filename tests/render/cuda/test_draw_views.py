@@ -47,8 +47,9 @@ def want() -> list[bytes]:
 @pytest.mark.parametrize("shown", [None, SHOWN], ids=["one cloud", "four clouds"])
 def test_the_host_needs_to_know_no_view(shown, seed: int) -> None:
     device = DeviceHost(seed)
-    there = draw(Drawer(device, Tuning(views=2)), True, shown)
-    assert there == draw(Drawer(device, Tuning(views=2)), False, shown)
+    tuning = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2, split=7)
+    there = draw(Drawer(device, tuning), True, shown)
+    assert there == draw(Drawer(device, tuning), False, shown)
 
 
 def test_all_is_queued_before_the_host_waits(want, monkeypatch) -> None:

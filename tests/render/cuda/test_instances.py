@@ -148,7 +148,7 @@ def test_views_and_instances_on_the_device_give_the_same_bytes(
 
 
 TUNINGS = [
-    Tuning(capacity=128, buckets=128, stage=32, views=2, spread=4, split=7),
+    Tuning(capacity=128, buckets=128, stage=32, views=2, large=2, spread=4, split=7),
     Tuning(threads=256, buckets=256, capacity=256, stage=64, large=0, chunks=1, split=500),
 ]
 

@@ -90,7 +90,7 @@ def test_neither_sizes_nor_room_for_labels_can_show(monkeypatch) -> None:
     cloud = labelled(700, 12)
     views, found = VIEWS[:2], []
     want = RendererCpu(cloud).render(CAMERA, views, outputs=BOTH)
-    small = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
+    small = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2, split=7)
     split = Tuning(threads=256, blocks=4, split=128)
     for codes, tuning, memory in ((8, small, None), (4, split, None), (6, None, 60_000)):
         monkeypatch.setattr(LabelDrawer, "codes", codes)

@@ -142,12 +142,11 @@ def test_without_a_card_it_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @either
-def test_map_pictures_of_card_emulation_and_cpu_are_kept_apart(tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+def test_map_pictures_of_card_emulation_and_cpu_are_kept_apart(empty_cache) -> None:
     cloud = random_cloud(200, seed=1)
     bounds = np.array([[-2.0, -2], [2, 2]])
     card = factory(cloud)
     card.traits = replace(card.traits, drawn_by=card.name)  # as if it were one
     for renderer in (factory(cloud), card, build_renderer(cloud, "cpu")):
         render_bev(cloud.content_hash, renderer, bounds, 0.1, 2.0)
-    assert len(list((tmp_path / "bev").glob("*.bev"))) == 3
+    assert len(list((empty_cache / "bev").glob("*.bev"))) == 3

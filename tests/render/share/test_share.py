@@ -589,10 +589,8 @@ def test_a_floor_that_is_none_is_refused(serve) -> None:
         lonely._ask(draw)
 
 
-def test_visible_sets_on_a_device_are_those_of_its_own_renderer(
-    serve, tmp_path, monkeypatch
-) -> None:
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+@pytest.mark.usefixtures("empty_cache")
+def test_visible_sets_on_a_device_are_those_of_its_own_renderer(serve, monkeypatch) -> None:
     options = VisibleOptions(pixels=16, places=1)
     limit = RendererBatch.limit_to_visible
     monkeypatch.setattr(

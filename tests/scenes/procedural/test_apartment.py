@@ -21,7 +21,7 @@ from gn0.scenes.procedural.plan import SIZES, FloorPlan, plan_apartment
 from gn0.scenes.scene import SceneObject
 from gn0.storage import content_hash
 
-QUICK = 8  # flats: each takes a second to plan and furnish; the long tests look at the others
+QUICK = 5  # flats: each takes a second to plan and furnish; the long tests look at the others
 SEEDS = [
     pytest.param(seed, marks=[pytest.mark.slow] if seed >= QUICK else []) for seed in range(20)
 ]

@@ -173,6 +173,7 @@ def test_meshes_are_sound_and_affordable(kind: str) -> None:
     assert {m.pattern for m in draft.materials} <= set(pattern_names())
 
 
+@pytest.mark.slow  # as test_apartment.py and test_halls.py say of quicker kinds
 def test_the_same_seed_gives_the_same_corridor() -> None:
     again = KINDS["corridor"].draft(SEED["corridor"], size="small")
     assert digest(again) == digest(building("corridor"))

@@ -8,6 +8,8 @@ from gn0.errors import ConfigError
 from gn0.render.camera import Camera
 from gn0.render.cuda.tables import TILE
 
+_OF_HOST = ("sample", "spread")
+
 
 @dataclass(frozen=True)
 class Tuning:
@@ -80,8 +82,10 @@ class Tuning:
 
     @property
     def defines(self) -> tuple[tuple[str, int], ...]:
-        """Macros of the kernels."""
-        return tuple((f.name.upper(), int(getattr(self, f.name))) for f in fields(self))
+        """Macros of the kernels: not what the host alone asks, or each value had its own code."""
+        own = {f.name: int(getattr(self, f.name)) for f in fields(self)}
+        own |= {"split": int(self.split > 0)}
+        return tuple((name.upper(), own[name]) for name in own if name not in _OF_HOST)
 
 
 MANY = Tuning()

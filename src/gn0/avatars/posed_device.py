@@ -8,21 +8,37 @@ its clouds does.
 
 from __future__ import annotations
 
+import warnings
 import weakref
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.avatars.avatar import SHADOWS, TO_WORLD, Avatar, shadow_places
 from gn0.avatars.body import check_pose
+from gn0.avatars.kept_rows import KeptRows
 from gn0.avatars.posed_bank import BUDGET
 from gn0.avatars.skinning import compose_joints, rotations_of
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError
 from gn0.geometry import F64, quaternion_from_rotation
-from gn0.render.cuda.posed import Posing, RestCloud, RestDevice, SlotFinder, posed_bytes
+from gn0.render.cuda.posed import (
+    Posing,
+    ReadyPoses,
+    RestCloud,
+    RestDevice,
+    SlotFinder,
+    posed_bytes,
+    ready_poses,
+    row_width,
+)
+
+POSTURES = 128 * 2**20 // (4 * row_width(SHADOWS))  # kept on the host
+FRAMES = 2**18  # boxes of postures at levels of detail, kept likewise
+_FRAME = np.dtype([("box", "<f4", 7), ("step", "<f4"), ("kind", "<i4")])
 
 
 class AvatarPose(Protocol):
@@ -63,12 +79,12 @@ class HoldsParts(Protocol):
         """Bring a person at rest there."""
         ...
 
-    def pose_parts(self, wanted: Sequence[Posing]) -> list[int]:
+    def pose_parts(self, rests: Sequence[RestDevice], ready: ReadyPoses) -> list[int]:
         """Slots of clouds in poses."""
         ...
 
-    def drop_part(self, slot: int) -> None:
-        """Free such a slot."""
+    def drop_parts(self, slots: Sequence[int]) -> None:
+        """Free such slots."""
 
     def name_part(self, slot: int) -> str:
         """Its name, for `Instance`."""
@@ -124,19 +140,33 @@ def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Po
 
 
 @dataclass(eq=False)
-class _Held:
-    slot: int
+class _Kind:
+    """Clouds of one avatar at one level of detail.
+
+    Attributes:
+        key: `AvatarPose.rest_key`.
+        size: bytes of a cloud.
+        rest: itself at rest on the device, as long as a cloud is.
+        clouds: how many there are.
+    """
+
+    key: Hashable
     size: int
-    rest: Hashable
+    rest: RestDevice | None = None
+    clouds: int = 0
 
 
 class PosedBankDevice:
     """Posed clouds on a device by key, under a budget. For one thread.
 
+    Postures that were worked out are kept on the host, 128 MB at most, so that a cloud that made
+    room comes back for little.
+
     Args:
         renderer: in whose table they are.
         budget: bytes of all of them together, boxes included; what people are at rest is not
-            counted (`rest_bytes`).
+            counted (`rest_bytes`), nor what is free between them. A call whose own people need
+            more gets it, with a warning the first time.
 
     Attributes:
         hits, misses: how many clouds were there when they were asked for, and how many not.
@@ -156,10 +186,18 @@ class PosedBankDevice:
             )
         self.renderer, self.budget = renderer, budget
         self.hits = self.misses = self.evicted = self.launches = 0
-        self._held: dict[Hashable, _Held] = {}
-        self._rests: dict[Hashable, tuple[RestDevice, int]] = {}  # and how many clouds it has
+        self._held: dict[Hashable, int] = {}  # slots
+        self._kinds: list[_Kind] = []
+        self._numbers: dict[Hashable, int] = {}  # of kinds, by their keys
+        self._postures = KeptRows((np.float32, (row_width(SHADOWS),)), POSTURES)
+        self._frames = KeptRows(_FRAME, FRAMES)
         self._bytes = self._call = 0
-        self._used = np.zeros(0, np.int64)  # number of the call that asked for each slot last
+        self._warned = False
+        # of each slot: key, kind (-1: free), code (0: its key is none), call that asked for it last
+        self._keys: list[Hashable] = []
+        self._kind_of = np.zeros(0, np.int64)
+        self._codes = np.zeros(0, np.uint64)
+        self._used = np.zeros(0, np.int64)
         self._finder = SlotFinder(renderer.device)
         self._stale = True  # whether the finder does not know what is held
         weakref.finalize(self, _let_go, renderer, self._held).atexit = False
@@ -172,13 +210,13 @@ class PosedBankDevice:
 
     @property
     def bytes(self) -> int:
-        """Bytes of all clouds on the device, never above the budget."""
+        """Bytes of all clouds on the device, above the budget only where one call needs more."""
         return self._bytes
 
     @property
     def rest_bytes(self) -> int:
         """Bytes on the device of those at rest whose clouds are held."""
-        return sum(rest.nbytes for rest, _ in self._rests.values())
+        return sum(kind.rest.nbytes for kind in self._kinds if kind.rest is not None)
 
     @property
     def hit_rate(self) -> float:
@@ -194,7 +232,6 @@ class PosedBankDevice:
             wanted: a key and what poses it, for each; keys may repeat.
 
         Raises:
-            ConfigError: together they are larger than the budget; nothing has changed then.
             RenderError: somebody cannot be packed.
             DeviceMemoryError: the device has no room for them.
         """
@@ -208,16 +245,20 @@ class PosedBankDevice:
                 self.misses += 1
                 lacking[key] = pose
             if held is not None:
-                self._used[held.slot] = self._call
-        self._fill(lacking)
-        return [self._held[key].slot for key, _ in wanted]
+                self._used[held] = self._call
+        self._fill(list(lacking), list(lacking), lacking.__getitem__)
+        return [self._held[key] for key, _ in wanted]
 
     def name(self, slot: int) -> str:
         """The name by which the renderer knows a slot, for `Instance`."""
         return self.renderer.name_part(slot)
 
     def find(
-        self, codes: DeviceArray, chosen: DeviceArray, pose: Callable[[int], AvatarPose]
+        self,
+        codes: DeviceArray,
+        chosen: DeviceArray,
+        pose: Callable[[int], AvatarPose],
+        posture: Callable[[int], Hashable] | None = None,
     ) -> int:
         """Write the slots of clouds that a kernel asks for, by codes as keys.
 
@@ -228,27 +269,29 @@ class PosedBankDevice:
             codes: uint64 [I] on the device, below 2⁶³; 0 is nobody.
             chosen: int32 [I] there, which gets slots, -1 for nobody.
             pose: what poses a code.
+            posture: equal for codes whose `pose` has the same turn and the same joints at rest,
+                as levels of detail have; without it each has its own.
 
         Returns:
             How many clouds were not here.
 
         Raises:
-            ConfigError, RenderError, DeviceMemoryError: see `fetch`.
+            RenderError, DeviceMemoryError: see `fetch`.
         """
         self._call += 1
         lacking = self._look(codes, chosen)
         self.misses += len(lacking)
         self.hits += len(codes) - len(lacking)
         if lacking:
-            self._fill({code: pose(code) for code in lacking})
+            self._fill(lacking, lacking if posture is None else list(map(posture, lacking)), pose)
             self._look(codes, chosen)
         return len(lacking)
 
     def _look(self, codes: DeviceArray, chosen: DeviceArray) -> list[int]:
         if self._stale:
-            slots = {k: held.slot for k, held in self._held.items() if isinstance(k, int)}
             self._take_stamps()
-            self._finder.set(slots, max(len(self._used), 1))
+            slots = np.flatnonzero(self._codes)
+            self._finder.set(self._codes[slots], slots.astype(np.int32), max(len(self._used), 1))
             self._stale = False
         return self._finder.find(codes, chosen, self._call)
 
@@ -258,59 +301,121 @@ class PosedBankDevice:
         used = self._used[: len(stamps)]
         np.maximum(used, stamps[: len(used)], out=used)
 
-    def _fill(self, lacking: dict[Hashable, AvatarPose]) -> None:
-        if not lacking:
+    def _fill(
+        self,
+        keys: list[Any],
+        postures: list[Any],
+        pose: Callable[[Any], AvatarPose],
+    ) -> None:
+        """Make the clouds of keys that are not held, each once, by one launch."""
+        if not keys:
             return
         self._take_stamps()
-        sizes = {key: _size_of(pose.avatar) for key, pose in lacking.items()}
-        wanted = sum(sizes.values())
-        if self._bytes + wanted > self.budget:
-            self._make_room(wanted)
-        for pose in lacking.values():
-            if pose.rest_key not in self._rests:
-                self._rests[pose.rest_key] = (self.renderer.bring_rest(rest_of(pose.avatar)), 0)
-        poses = list(lacking.values())
-        slots = self.renderer.pose_parts(
-            posings_of(
-                [
-                    (pose.avatar, self._rests[pose.rest_key][0], *turn)
-                    for pose, turn in zip(poses, _turn_all(poses), strict=True)
-                ]
+        framed, turned = self._frames.find(keys), self._postures.find(postures)
+        known = (framed >= 0) & (turned >= 0)
+        old, new = np.flatnonzero(known), np.flatnonzero(~known)
+        poses = {n: pose(keys[n]) for n in new.tolist()}
+        frames = np.zeros(len(keys), _FRAME)
+        frames[old] = self._frames.read(framed[old])
+        frames["kind"][new] = [self._kind_number(one) for one in poses.values()]
+        kinds, counts = np.unique(frames["kind"], return_counts=True)
+        sizes = np.array([kind.size for kind in self._kinds])
+        self._make_room(int(sizes[kinds] @ counts))
+        for number in kinds.tolist():
+            kind = self._kinds[number]
+            if kind.rest is None:
+                n = int(np.flatnonzero(frames["kind"] == number)[0])
+                avatar = (poses[n] if n in poses else pose(keys[n])).avatar
+                kind.rest = self.renderer.bring_rest(rest_of(avatar))
+        rests = [self._rest(number) for number in frames["kind"].tolist()]
+        rows = np.empty((len(keys), row_width(SHADOWS)), np.float32)
+        rows[old] = self._postures.read(turned[old])
+        if poses:
+            wanted = list(poses.values())
+            turns = _turn_all(wanted)
+            ready = ready_poses(
+                posings_of(
+                    [
+                        (one.avatar, rests[n], *turn)
+                        for (n, one), turn in zip(poses.items(), turns, strict=True)
+                    ]
+                )
             )
-        )
+            rows[new], frames["box"][new], frames["step"][new] = ready
+            self._postures.keep([postures[n] for n in poses], ready.rows)
+            self._frames.keep([keys[n] for n in poses], frames[new])
+        ready = ReadyPoses(rows, frames["box"].copy(), frames["step"].copy())
+        slots = self.renderer.pose_parts(rests, ready)
         self.launches += 1
         self._stale = True
-        for (key, pose), slot in zip(lacking.items(), slots, strict=True):
-            self._held[key] = _Held(slot, sizes[key], pose.rest_key)
-            if slot >= len(self._used):
-                self._used = np.concatenate([self._used, np.zeros(slot + 1, np.int64)])
-            self._used[slot] = self._call
-            self._bytes += sizes[key]
-            rest = self._rests[pose.rest_key]
-            self._rests[pose.rest_key] = (rest[0], rest[1] + 1)
+        self._hold(keys, slots, frames["kind"])
+        for kind in self._kinds:
+            if not kind.clouds:
+                kind.rest = None
+
+    def _kind_number(self, pose: AvatarPose) -> int:
+        number = self._numbers.setdefault(pose.rest_key, len(self._kinds))
+        if number == len(self._kinds):
+            self._kinds.append(_Kind(pose.rest_key, _size_of(pose.avatar)))
+        return number
+
+    def _rest(self, number: int) -> RestDevice:
+        rest = self._kinds[number].rest
+        assert rest is not None
+        return rest
+
+    def _hold(self, keys: list[Any], slots: list[int], kinds: NDArray[np.int32]) -> None:
+        """Note which keys new slots have."""
+        more = max(slots) + 1 - len(self._keys)
+        if more > 0:
+            more += len(self._keys)  # twice as many
+            self._keys += [None] * more
+            self._kind_of = np.append(self._kind_of, np.full(more, -1))
+            self._codes = np.append(self._codes, np.zeros(more, np.uint64))
+            self._used = np.append(self._used, np.zeros(more, np.int64))
+        for key, slot in zip(keys, slots, strict=True):
+            self._held[key] = slot
+            self._keys[slot] = key
+        self._codes[slots] = [key if isinstance(key, int) else 0 for key in keys]
+        self._kind_of[slots], self._used[slots] = kinds, self._call
+        self._count(kinds, 1)
+
+    def _count(self, kinds: NDArray[np.integer], more: int) -> None:
+        """So many clouds of kinds are more, or less."""
+        for number, count in zip(*np.unique(kinds, return_counts=True), strict=True):
+            kind = self._kinds[number]
+            kind.clouds += more * int(count)
+            self._bytes += more * int(count) * kind.size
 
     def _make_room(self, wanted: int) -> None:
         """Drop what was asked for least recently, but nothing of this call."""
-        spare = [key for key, held in self._held.items() if self._used[held.slot] != self._call]
-        staying = self._bytes - sum(self._held[key].size for key in spare)
-        if staying + wanted > self.budget:
-            raise ConfigError(
-                f"the people of one call need more than {self.budget:,} bytes",
-                where="PosedBankDevice",
-                remedy="give a larger budget, or draw people at coarser levels of detail",
+        over = self._bytes + wanted - self.budget
+        if over <= 0:
+            return
+        held = np.flatnonzero(self._kind_of >= 0)
+        spare = held[self._used[held] != self._call]
+        spare = spare[np.argsort(self._used[spare], kind="stable")]
+        sizes = np.array([kind.size for kind in self._kinds])[self._kind_of[spare]]
+        room = np.cumsum(sizes)
+        gone = spare[: int(np.searchsorted(room, over)) + 1]
+        if not self._warned and over > sizes.sum():
+            self._warned = True
+            warnings.warn(
+                f"the people of one call need {over - int(sizes.sum()):,} bytes more than the "
+                f"{self.budget:,} of the bank of posed people, and get them; give a larger "
+                "budget, or draw people at coarser levels of detail",
+                RuntimeWarning,
+                stacklevel=4,
             )
-        spare.sort(key=lambda key: self._used[self._held[key].slot], reverse=True)
-        while self._bytes + wanted > self.budget:
-            self._drop(spare.pop())
-            self.evicted += 1
-
-    def _drop(self, key: Hashable) -> None:
-        gone = self._held.pop(key)
-        self.renderer.drop_part(gone.slot)
-        self._bytes -= gone.size
-        rest, clouds = self._rests.pop(gone.rest)
-        if clouds > 1:
-            self._rests[gone.rest] = (rest, clouds - 1)
+        slots = gone.tolist()
+        for slot in slots:
+            del self._held[self._keys[slot]]
+            self._keys[slot] = None
+        self._count(self._kind_of[gone], -1)
+        self._kind_of[gone], self._codes[gone] = -1, 0
+        self.renderer.drop_parts(slots)
+        self.evicted += len(slots)
+        self._stale = True
 
 
 def _turn_all(poses: Sequence[AvatarPose]) -> list[tuple[F64, F64]]:
@@ -321,10 +426,9 @@ def _turn_all(poses: Sequence[AvatarPose]) -> list[tuple[F64, F64]]:
     return [pose.turn() for pose in poses]
 
 
-def _let_go(renderer: HoldsParts, held: dict[Hashable, _Held]) -> None:
+def _let_go(renderer: HoldsParts, held: dict[Hashable, int]) -> None:
     """Nobody will ask for them again."""
-    for one in held.values():
-        renderer.drop_part(one.slot)
+    renderer.drop_parts(list(held.values()))
 
 
 def _size_of(avatar: Avatar) -> int:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 _NONE = 63  # no clip
 _BITS = (16, 2, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
+_LEVEL = (1 << _BITS[1]) - 1 << _BITS[0]
 _BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 _ASIDE, _HIGH = 1.2, 1.5  # m: what of a person may be beside it, and above or below an eye
 _OFFSETS = 97  # by how many ticks people's clips are apart
@@ -187,7 +188,7 @@ class PeopleEyesDevice:
             gains=gains,
         )
         company.kernels["show_people"].launch(blocks_of(count), THREADS, showing)
-        self.posed.find(codes, chosen, self.read_code)
+        self.posed.find(codes, chosen, self.read_code, _posture_of)
         return PartsDevice(None, poses, chosen, each, gains, nearer)
 
     def read_code(self, code: int) -> PoseShown:
@@ -205,3 +206,8 @@ class PeopleEyesDevice:
             stood + STOOD[0] if before else 0,
         )  # fmt: skip
         return PoseShown(self.cast.find(identity), shown, level)
+
+
+def _posture_of(code: int) -> int:
+    """A code without its level of detail."""
+    return (code - 1) & ~_LEVEL

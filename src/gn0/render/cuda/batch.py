@@ -35,7 +35,8 @@ from gn0.render.cuda.parts import (
     list_sets,
     views_of,
 )
-from gn0.render.cuda.posed import Posing, RestCloud, RestDevice, bring_rest, pose_clouds
+from gn0.render.cuda.posed import ReadyPoses, RestCloud, RestDevice, bring_rest, pose_ready
+from gn0.render.cuda.posed_places import PosedPlaces
 from gn0.render.cuda.replay import PicturesDevice, SetMissingError
 from gn0.render.cuda.request import (
     check_chosen,
@@ -105,6 +106,7 @@ class RendererBatch:
         self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
         self.store.on_drop = self._let_go
         self._named = NamedClouds(device)
+        self._places = PosedPlaces(device)
         self._arranged: Arranged | None = None
         self._calls = RecordedCalls(self.options)
         self._skip = self._wait = 0  # calls until views on the device are tried with sets again
@@ -179,21 +181,25 @@ class RendererBatch:
         with lock_of(self.device):
             return self._with_room(lambda: bring_rest(self.device, cloud), (), [])
 
-    def pose_parts(self, wanted: Sequence[Posing]) -> list[int]:
-        """Slots of clouds in poses, made by one launch; they stay until `drop_part`.
+    def pose_parts(self, rests: Sequence[RestDevice], ready: ReadyPoses) -> list[int]:
+        """Slots of clouds in poses, made by one launch; they stay until `drop_parts`.
+
+        Args:
+            rests: of whom, for each pose; one at least.
+            ready: how.
 
         Raises:
-            RenderError: somebody cannot be packed.
             DeviceMemoryError: the device has no room for them.
         """
         with lock_of(self.device):
-            clouds = self._with_room(lambda: pose_clouds(self.device, wanted), (), [])
-            return [self._named.add(cloud) for cloud in clouds]
+            take = self._places.take
+            clouds = self._with_room(lambda: pose_ready(self.device, rests, ready, take), (), [])
+            return self._named.add(clouds)
 
-    def drop_part(self, slot: int) -> None:
-        """Free a slot that `pose_parts` gave."""
+    def drop_parts(self, slots: Sequence[int]) -> None:
+        """Free slots that `pose_parts` gave."""
         with lock_of(self.device):
-            self._named.drop(slot)
+            self._named.drop(slots)
 
     def name_part(self, slot: int) -> str:
         """The name of a slot that `pose_parts` gave, for `Instance`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,17 +98,19 @@ class NamedClouds:
             )
         return self._held[name].slot
 
-    def add(self, cloud: CloudDevice) -> int:
-        """The slot that a cloud gets, with a name (`name_of`), until `drop`."""
-        slot = self.table.take()
-        self.table.put(slot, cloud)
-        self._held[self.name_of(slot)] = _NamedCloud(slot, "", None)
-        return slot
+    def add(self, clouds: Sequence[CloudDevice]) -> list[int]:
+        """The slots that clouds, one at least, get, with names (`name_of`), until `drop`."""
+        slots = [self.table.take() for _ in clouds]
+        self.table.put_all(slots, clouds)
+        for slot in slots:
+            self._held[self.name_of(slot)] = _NamedCloud(slot, "", None)
+        return slots
 
-    def drop(self, slot: int) -> None:
-        """Free a slot that `add` gave."""
-        self.table.drop(slot)
-        self._held.pop(self.name_of(slot), None)
+    def drop(self, slots: Sequence[int]) -> None:
+        """Free slots that `add` gave."""
+        self.table.drop(slots)
+        for slot in slots:
+            self._held.pop(self.name_of(slot), None)
 
     def name_of(self, slot: int) -> str:
         """The name of a slot that `add` gave."""

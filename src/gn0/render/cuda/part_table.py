@@ -6,6 +6,8 @@ call, clouds may come and go, and the recording holds. Only a table that grows i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,15 +72,20 @@ class PartTable:
 
     def put(self, slot: int, cloud: CloudDevice) -> None:
         """Put a cloud into a slot that was taken."""
-        self._write(slot, cloud)
-        while self.most < cloud.chunks:
+        self.put_all([slot], [cloud])
+
+    def put_all(self, slots: Sequence[int], clouds: Sequence[CloudDevice]) -> None:
+        """Put clouds, one at least, into slots that were taken."""
+        self._write(slots, clouds)
+        while self.most < max(cloud.chunks for cloud in clouds):
             self.most *= 2
             self.version += 1
 
-    def drop(self, slot: int) -> None:
-        """Free a slot."""
-        self._write(slot, None)
-        self._free.append(slot)
+    def drop(self, slots: Sequence[int]) -> None:
+        """Free slots."""
+        if slots:
+            self._write(slots, [None] * len(slots))
+            self._free += slots
 
     def flush(self) -> None:
         """Bring to the device what has changed; drawing calls read it in their turn."""
@@ -91,14 +98,16 @@ class PartTable:
         self.device.upload(self._bounds[low:high], self._bounds_there[low:high])
         self._changed = None
 
-    def _write(self, slot: int, cloud: CloudDevice | None) -> None:
-        self.clouds[slot] = cloud
-        self._rows[slot] = build_clouds([cloud])[0]
-        normals = None if cloud is None else cloud.normals
-        self._normals[slot] = 0 if normals is None else normals.pointer
-        self._bounds[slot] = bound_all([cloud])[0]
-        low, high = self._changed or (slot, slot + 1)
-        self._changed = (min(low, slot), max(high, slot + 1))
+    def _write(self, slots: Sequence[int], clouds: Sequence[CloudDevice | None]) -> None:
+        for slot, cloud in zip(slots, clouds, strict=True):
+            self.clouds[slot] = cloud
+        at = np.asarray(slots)
+        self._rows[at] = build_clouds(clouds)
+        normals = [0 if c is None or c.normals is None else c.normals.pointer for c in clouds]
+        self._normals[at] = np.array(normals, np.uint64)
+        self._bounds[at] = bound_all(clouds)
+        low, high = self._changed or (slots[0], slots[0] + 1)
+        self._changed = (min(low, min(slots)), max(high, 1 + max(slots)))
 
     def _grow(self, slots: int) -> None:
         had = len(self.clouds)

@@ -8,7 +8,7 @@ is shared by all poses; what skinning reads is another 64. See `kernels/posed.cu
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +34,7 @@ _STEPS = 2**20 - 1
 _SLACK = 1e-4  # m: rounding
 _JOINTS, _OF_JOINT, _INFLUENCES = 55, 16, 4
 _MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
+_WORD, _FLOAT = np.dtype(np.uint32), np.dtype(np.float32)
 _ON_FLOOR, _PADDING = -2.0, -1.0  # instead of extents
 _POSING = np.dtype(
     [
@@ -190,6 +191,47 @@ def bring_rest(device: Device, cloud: RestCloud) -> RestDevice:
     )
 
 
+class ReadyPoses(NamedTuple):
+    """Poses as the kernel reads them.
+
+    Attributes:
+        rows: joints, then places and log opacities on the floor, float32 [n, width]; to the bit
+            the same for all levels of detail of a person.
+        boxes: that hold each, and its largest reach, float32 [n, 7].
+        steps: of each one's places [n] m.
+    """
+
+    rows: F32
+    boxes: F32
+    steps: F32
+
+
+def ready_poses(wanted: Sequence[Posing]) -> ReadyPoses:
+    """Poses made ready, at least one.
+
+    Raises:
+        RenderError: somebody reaches so far that its places would be too coarse.
+    """
+    most = max(one.rest.lying for one in wanted)
+    rows = np.zeros((len(wanted), row_width(most)), np.float32)
+    joints = rows[:, : _JOINTS * _OF_JOINT].reshape(-1, _JOINTS, _OF_JOINT)
+    joints[..., :12] = np.stack([one.transforms for one in wanted]).reshape(-1, _JOINTS, 12)
+    joints[..., 12:] = np.stack([one.turns for one in wanted])
+    floors = np.ones((len(wanted), most, 4), np.float32)
+    for floor, one in zip(floors, wanted, strict=True):
+        floor[: one.rest.lying] = one.floor
+    floors[..., 3] = np.log(np.clip(floors[..., 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
+    rows[:, _JOINTS * _OF_JOINT :] = floors.reshape(len(wanted), -1)
+    boxes = _find_capsules(wanted)
+    steps = np.array([_choose_step(box, n) for n, box in enumerate(boxes)], np.float32)
+    return ReadyPoses(rows, boxes, steps)
+
+
+def row_width(lying: int) -> int:
+    """Of `ReadyPoses.rows`, for so many splats on the floor."""
+    return _JOINTS * _OF_JOINT + 4 * lying
+
+
 def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
     """Clouds in poses, all by one launch; each has memory of its own.
 
@@ -199,49 +241,80 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
     """
     if not wanted:
         return []
-    joints = np.empty((len(wanted), _JOINTS, _OF_JOINT), np.float32)
-    joints[..., :12] = np.stack([one.transforms for one in wanted]).reshape(-1, _JOINTS, 12)
-    joints[..., 12:] = np.stack([one.turns for one in wanted])
-    floors = np.concatenate([*(one.floor for one in wanted), np.ones((1, 4))]).astype(np.float32)
-    floors[:, 3] = np.log(np.clip(floors[:, 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
-    jobs, clouds, block = np.zeros(len(wanted), _POSING), [], 0
-    capsules = _find_capsules(wanted)
-    steps = [_choose_step(box, n) for n, box in enumerate(capsules)]
-    there, below = device.upload(joints), device.upload(floors)
-    at = 0
-    for n, (one, step) in enumerate(zip(wanted, steps, strict=True)):
-        rest, chunks = one.rest, one.rest.rows // CHUNK
-        whole = device.empty(posed_bytes(rest.rows) // 4, np.uint32)
-        splats = whole[: rest.rows * 4].reshape(rest.rows, 4)
-        boxes = whole[rest.rows * 4 :].view(np.float32).reshape(chunks, 7)
-        jobs[n] = (
-            *(rest.skin.pointer, rest.rest.pointer),
-            there.pointer + n * _JOINTS * _OF_JOINT * 4,
-            below.pointer + at * 16,
-            *(splats.pointer, boxes.pointer, step, block, rest.alive, rest.lying, 0),
+
+    def take(sizes: Sequence[int]) -> list[DeviceArray]:
+        return [device.empty(size // 4, np.uint32) for size in sizes]
+
+    return pose_ready(device, [one.rest for one in wanted], ready_poses(wanted), take)
+
+
+def pose_ready(
+    device: Device,
+    rests: Sequence[RestDevice],
+    ready: ReadyPoses,
+    take: Callable[[Sequence[int]], list[DeviceArray]],
+) -> list[CloudDevice]:
+    """Clouds of people at rest in poses that are ready, all by one launch.
+
+    Args:
+        device: where.
+        rests: of whom, for each pose.
+        ready: how.
+        take: gives memory, uint32 [words] of at least so many bytes each.
+
+    Raises:
+        DeviceMemoryError: the device has no room for them.
+    """
+    kinds = {id(rest): rest for rest in rests}
+    facts = {
+        key: (rest.skin.pointer, rest.rest.pointer, rest.rows, rest.alive, rest.lying)
+        for key, rest in kinds.items()
+    }
+    skin, still, rows, alive, lying = np.array([facts[id(rest)] for rest in rests], np.uint64).T
+    chunks = rows // CHUNK
+    memory = take([posed_bytes(count) for count in rows.tolist()])
+    there = device.upload(ready.rows)
+    jobs = np.zeros(len(rests), _POSING)
+    jobs["skin"], jobs["rest"] = skin, still
+    width = ready.rows.shape[1] * 4
+    jobs["joints"] = there.pointer + np.arange(len(rests), dtype=np.uint64) * np.uint64(width)
+    jobs["floor"] = jobs["joints"] + np.uint64(_JOINTS * _OF_JOINT * 4)
+    jobs["splats"] = np.array([one.pointer for one in memory], np.uint64)
+    jobs["boxes"] = jobs["splats"] + rows * np.uint64(SPLAT_BYTES)
+    jobs["step"], jobs["alive"], jobs["lying"] = ready.steps, alive, lying
+    jobs["first_block"][1:] = np.cumsum(chunks[:-1])
+    record = PoseSplats(device.upload(jobs.view(np.uint64)), np.uint32(len(rests)))
+    device.load(SOURCE)["pose_splats"].launch(int(chunks.sum()), CHUNK, record)
+    return [
+        _cloud_of(*what)
+        for what in zip(
+            rests, memory, rows.tolist(), ready.boxes, ready.steps.tolist(), strict=True
         )
-        at, block = at + rest.lying, block + chunks
-        clouds.append(
-            CloudDevice(
-                splats=splats,
-                order=rest.order,
-                places=None,  # a look-up less for each splat that is drawn
-                sh=None,
-                boxes=boxes,
-                degree=0,
-                ordered=False,
-                size=rest.size,
-                alive=rest.alive,
-                normals=splats.reshape(rest.rows * 4),
-                labels=rest.labels,
-                rest=rest.rest,
-                step=step,
-                bounds=capsules[n],
-            )
-        )
-    record = PoseSplats(device.upload(jobs.view(np.uint64)), np.uint32(len(wanted)))
-    device.load(SOURCE)["pose_splats"].launch(block, CHUNK, record)
-    return clouds
+    ]
+
+
+def _cloud_of(
+    rest: RestDevice, memory: DeviceArray, rows: int, box: F32, step: float
+) -> CloudDevice:
+    """A posed cloud in its memory."""
+    device, at, owner = memory.device, memory.pointer, memory.owner
+    places = at + rows * SPLAT_BYTES
+    return CloudDevice(
+        splats=DeviceArray(device, at, (rows, 4), _WORD, owner),
+        order=rest.order,
+        places=None,  # a look-up less for each splat that is drawn
+        sh=None,
+        boxes=DeviceArray(device, places, (rows // CHUNK, 7), _FLOAT, owner),
+        degree=0,
+        ordered=False,
+        size=rest.size,
+        alive=rest.alive,
+        normals=DeviceArray(device, at, (rows * 4,), _WORD, owner),
+        labels=rest.labels,
+        rest=rest.rest,
+        step=step,
+        bounds=box,
+    )
 
 
 class SlotFinder:
@@ -256,10 +329,10 @@ class SlotFinder:
         self._places = 0
         self._held: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
 
-    def set(self, slots: dict[int, int], most: int) -> None:
+    def set(self, codes: NDArray[np.uint64], slots: NDArray[np.int32], most: int) -> None:
         """Say which code, above 0, is in which slot below `most`; stamps of before are lost."""
         self._places = 1 << max(2 * len(slots), 16).bit_length()
-        keys, found = place_codes(slots, self._places)
+        keys, found = place_codes(codes, slots, self._places)
         upload = self._device.upload
         self._held = upload(keys), upload(found), self._device.zeros(most, np.uint32)
 
@@ -280,20 +353,20 @@ class SlotFinder:
         )
         self._device.load(SOURCE)["find_slots"].launch(-(-count // 128), 128, record)
         lacking = int(missing[:1].numpy()[0])
-        return sorted(set(missing[1 : 1 + lacking].numpy().tolist())) if lacking else []
+        return np.unique(missing[1 : 1 + lacking].numpy()).tolist() if lacking else []
 
     def stamps(self) -> NDArray[np.uint32]:
         """When each slot was last found, by the stamps given since `set`."""
         return np.zeros(0, np.uint32) if self._held is None else self._held[2].numpy()
 
 
-def place_codes(slots: dict[int, int], places: int) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
+def place_codes(
+    codes: NDArray[np.uint64], which: NDArray[np.int32], places: int
+) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
     """A hash table of codes and their slots as `find_slots` reads it, of a power of two of places.
 
     Each code lies in the first free place from its own on, and no place between is free.
     """
-    codes = np.fromiter(slots.keys(), np.uint64, len(slots))
-    which = np.fromiter(slots.values(), np.int32, len(slots))
     own = ((codes * np.uint64(_MIX)) >> np.uint64(32)).astype(np.int64) & (places - 1)
     order = np.argsort(own, kind="stable")
     rank = np.arange(len(order))

@@ -271,10 +271,11 @@ def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64
         mixed, stepped = zip(*some.values(), strict=True)
         poses, shifts = library.blend_all(mixed, steps=stepped)
         found |= zip(some, zip(poses, shifts, strict=True), strict=True)
-    for n, (_, shown) in enumerate(wanted):
-        if shown.look != _STRAIGHT:
-            pose, shift = found[n]
-            found[n] = turn_head(pose, math.radians(LOOKS[shown.look])), shift
+    aside = [n for n, (_, shown) in enumerate(wanted) if shown.look != _STRAIGHT]
+    if aside:
+        yaws = [math.radians(LOOKS[wanted[n][1].look]) for n in aside]
+        looked = turn_head(np.stack([found[n][0] for n in aside]), np.array(yaws))
+        found |= {n: (pose, found[n][1]) for n, pose in zip(aside, looked, strict=True)}
     return [found[n] for n in range(len(wanted))]
 
 

@@ -84,16 +84,16 @@ def look_class(yaw: float) -> int:
     return int(np.argmin([abs(math.degrees(yaw) - one) for one in LOOKS]))
 
 
-def turn_head(pose: NDArray[np.floating], yaw: float) -> F64:
-    """The pose [55, 3] with the head turned by a yaw [rad] more, to the left positive.
+def turn_head(pose: NDArray[np.floating], yaw: float | NDArray[np.floating]) -> F64:
+    """Poses [..., 55, 3] with heads turned by yaws [...] rad more, to the left positive.
 
-    Neck and head share it; it is held at 60 degrees.
+    Neck and head share it; it is held at 60 degrees. Many at once are to the bit as each alone.
     """
     looked = np.array(pose, np.float64)
-    turn = about_axis("y", np.asarray(float(np.clip(yaw, -math.pi / 3, math.pi / 3)) / 2))
+    turn = about_axis("y", np.clip(np.asarray(yaw, np.float64), -math.pi / 3, math.pi / 3) / 2)
     for name in ("neck", "head"):
         k = INDEX[name]
-        looked[k] = vectors_of_quats(multiply(turn, quats_of(looked[k])))
+        looked[..., k, :] = vectors_of_quats(multiply(turn, quats_of(looked[..., k, :])))
     return looked
 
 

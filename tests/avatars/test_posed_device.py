@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.posed import bring_rest, place_codes, pose_clouds
+from gn0.render.cuda.posed_places import SLAB, PosedPlaces
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
@@ -243,6 +245,45 @@ def test_who_was_found_by_a_kernel_counts_as_used(batch: RendererBatch) -> None:
     for code in (1, 2, 1, 3):
         bank.find(device.upload(np.array([code], np.uint64)), chosen, lambda c: Posture(0.1 * c))
     assert 1 in bank and 3 in bank and 2 not in bank
+
+
+def test_who_made_room_comes_back_the_same(batch: RendererBatch) -> None:
+    """Nobody poses it again; its bytes are those of before, in whatever memory."""
+    device, one = batch.device, PosedBankDevice(batch)
+    one.fetch([("one", Posture())])
+    bank = PosedBankDevice(batch, budget=2 * one.bytes)
+    asked: list[int] = []
+    chosen = device.empty(2, np.int32)
+
+    def look(*codes: int) -> list[bytes]:
+        def pose(code: int) -> Posture:
+            asked.append(code)
+            return Posture(0.1 * (code >> 1), f"small {code & 1}")
+
+        found = device.upload(np.array(codes, np.uint64))
+        bank.find(found, chosen, pose, lambda code: code >> 1)
+        clouds = [batch._named.table.clouds[slot] for slot in chosen.numpy().tolist()]
+        return [b"".join(a.numpy().tobytes() for a in (c.splats, c.boxes)) for c in clouds]
+
+    first = look(2, 4)
+    others = look(6, 7)  # levels of one posture
+    assert others[0] == others[1] and bank.evicted == 2 and asked == [2, 4, 6, 7]
+    # those at rest went with their clouds: somebody must say who they are
+    assert look(4, 2) == first[::-1] and bank.evicted == 4 and set(asked[4:]) <= {2, 4}
+
+
+def test_memory_of_clouds_is_free_again_when_nobody_holds_it() -> None:
+    device = DeviceHost()
+    places, before = PosedPlaces(device), device.used
+    held = places.take([5000, 5100, 3 * SLAB, 5000])
+    spans = sorted((one.pointer, one.pointer + one.nbytes) for one in held)
+    assert all(a[1] <= b[0] for a, b in pairwise(spans)), "none in another's"
+    assert held[1].nbytes >= 5100 and held[2].nbytes >= 3 * SLAB
+    assert before + 4 * SLAB >= device.used > before + 3 * SLAB
+    gone = held.pop(1).pointer
+    assert places.take([5100])[0].pointer == gone
+    held.clear()
+    assert device.used == before
 
 
 def test_who_reaches_too_far_is_named_instead() -> None:

@@ -42,7 +42,10 @@ class KeptRows:
 
     def keep(self, keys: Sequence[Hashable], rows: NDArray[Any]) -> None:
         """Keep rows, as many as there is room for; those whose keys are here stay as they are."""
-        first = {key: n for n, key in reversed(list(enumerate(keys))) if key not in self._at}
+        first: dict[Hashable, int] = {}
+        for n, key in enumerate(keys):
+            if key not in self._at:
+                first.setdefault(key, n)
         chosen = list(first.items())[: self._most]
         places = self._make_places(len(chosen))
         for place, (key, _) in zip(places, chosen, strict=True):

@@ -363,6 +363,9 @@ def test_heads_look_aside() -> None:
         assert set(changed) <= {INDEX["neck"], INDEX["head"]}
         assert look_class(np.radians(yaw)) == k
     assert np.allclose(turn_head(pose, 3.0), turn_head(pose, np.pi / 3))
+    poses, yaws = library.table("walk")[0], np.radians(np.resize(LOOKS, PHASES))
+    alone = [turn_head(one, yaw) for one, yaw in zip(poses, yaws, strict=True)]
+    assert np.array_equal(turn_head(poses, yaws), alone), "to the bit"
 
 
 def test_motions_are_played_at_a_rate() -> None:

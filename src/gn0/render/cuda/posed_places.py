@@ -60,7 +60,7 @@ class PosedPlaces:
         for size in sizes:
             room = _room(size)
             slabs = open_slabs.get(room)
-            if slabs is None:  # the fullest first, so that others empty
+            if slabs is None:  # the fullest last, which is taken from: others empty
                 slabs = [slab for slab in self._slabs.get(room, ()) if slab.free]
                 slabs.sort(key=lambda slab: -len(slab.free))
                 open_slabs[room] = slabs

@@ -344,3 +344,17 @@ class FindSlots(NamedTuple):
     stamps: DeviceArray
     chosen: DeviceArray
     missing: DeviceArray
+
+
+class CountSeen(NamedTuple):
+    """`count_seen`: pixels that show each instance, those that it has alone, and their box."""
+
+    numbers: DeviceArray
+    alone: DeviceArray
+    views: DeviceArray
+    places: DeviceArray
+    rows: DeviceArray
+    pixels: np.uint64
+    width: np.uint32
+    shown: np.float32
+    out: DeviceArray

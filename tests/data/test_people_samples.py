@@ -417,10 +417,8 @@ def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: P
     rng = np.random.default_rng(0)
     turn, feet = rng.uniform(-3, 3, (2, steps, count))
     places = rng.uniform(-3, 3, (steps, count, 2))
-    real = np.dstack(
-        [places, np.cos(turn), np.sin(turn), np.abs(turn), np.cos(feet), np.sin(feet)]
-        + [np.abs(feet), places - 0.05]
-    )
+    way = (np.cos(turn), np.sin(turn), np.abs(turn), np.cos(feet), np.sin(feet))
+    real = np.dstack([places, *way, np.abs(feet), places - 0.05])
     whole = rng.integers(0, 2, (steps, count, 3))
     seen = rng.uniform(0, 9, (steps, count, 6)).astype(np.float32)
     rows = replace(make_rows("b"), people=StepPeople(real, whole), person=2, seen=seen)

@@ -268,7 +268,7 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
     most = (WALK, np.iinfo(np.int32).max, SETTLE)
     if ((doing < 0) | (doing > most)).any():
         return "people_doing", 0, "or a later one says nothing that people do"
-    real = _values(table, "people").reshape(-1, REALS)
+    real = _values(table, "people").reshape(-1, width)
     for ways, what in ((real[:, 2:4], "faces nowhere"), (real[:, 5:7], "stands no way")):
         if len(ways) and (np.abs(np.hypot(*ways.T) - 1.0) > 1e-6).any():
             return "people", 0, f"or a later one {what}"

@@ -114,6 +114,8 @@ class GroupViews(NamedTuple):
     count_: np.uint32
     cloud_count: np.uint32
     each: np.uint32
+    first_part: np.uint32
+    each_of_parts: np.uint32
     counts: DeviceArray
     groups: DeviceArray
     members: DeviceArray

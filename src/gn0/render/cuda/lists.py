@@ -218,6 +218,7 @@ class Lists:
             firsts=None if isinstance(firsts, int) else firsts,
             each=np.uint32(firsts if isinstance(firsts, int) else 0),
             clouds=self.clouds,
+            brought=None if instances.table is None else instances.table.rows,
             base=np.uint32(work.base),
             known=np.uint32(len(work.table) - work.base),
             normals=normals,

@@ -132,6 +132,7 @@ class WriteParts(NamedTuple):
     firsts: DeviceArray | None
     each: np.uint32
     clouds: DeviceArray
+    brought: DeviceArray | None
     base: np.uint32
     known: np.uint32
     normals: DeviceArray
@@ -145,14 +146,6 @@ class WriteParts(NamedTuple):
     like: np.void
     views: DeviceArray
     parts: DeviceArray
-
-
-class BringClouds(NamedTuple):
-    """`bring_clouds`: rows of a table of clouds, behind those of a call."""
-
-    from_: DeviceArray
-    words: np.uint32
-    to: DeviceArray
 
 
 class TileLists(NamedTuple):

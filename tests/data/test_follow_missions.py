@@ -31,9 +31,9 @@ NAVIGATION = NavigationMap(HALL.grid, BODY.radius)
 PATHS = hall_paths(HALL).records
 
 
-def make(seed: int, count: int = len(PATHS), **follow: object) -> FollowMissions:
+def make(seed: int, paths: int = len(PATHS), **follow: object) -> FollowMissions:
     settings = msgspec.structs.replace(SETTINGS, follow=FollowSettings(**follow))  # type: ignore[arg-type]
-    return make_follow_missions(HALL, NAVIGATION, PATHS[:count], settings, seed, agent=BODY)
+    return make_follow_missions(HALL, NAVIGATION, PATHS[:paths], settings, seed, agent=BODY)
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +219,15 @@ def test_a_reference_is_refused_for_the_reason_that_it_fell_for(
         strict = FollowTracker(HALL, NAVIGATION, msgspec.structs.replace(settings, **wrong))
         found, reason = strict.track(episode)
         assert found is None and reason.startswith(said)
+
+
+@pytest.mark.parametrize("level", ["distractors", "ambiguous"])
+def test_a_count_asked_for_is_kept(level: str) -> None:
+    found = make(1, 1, levels=(level,), count=5)
+    assert found.missions
+    assert {len(mission.episode.people) for mission in found.missions} == {5}
+    full = make(1, 1, levels=(level,), count=8, others=5.0, attempts=1)
+    assert not full.missions and sum(full.fell.values()) == 1
 
 
 def test_a_unit_of_work_is_found_by_its_name() -> None:

@@ -417,7 +417,8 @@ def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: P
     rng = np.random.default_rng(0)
     turn, feet = rng.uniform(-3, 3, (2, steps, count))
     places = rng.uniform(-3, 3, (steps, count, 2))
-    real = np.dstack([places, np.cos(turn), np.sin(turn), np.abs(turn), np.cos(feet), np.sin(feet)])
+    way = (np.cos(turn), np.sin(turn), np.abs(turn), np.cos(feet), np.sin(feet))
+    real = np.dstack([places, *way, np.abs(feet), places - 0.05])
     whole = rng.integers(0, 2, (steps, count, 3))
     seen = rng.uniform(0, 9, (steps, count, 6)).astype(np.float32)
     rows = replace(make_rows("b"), people=StepPeople(real, whole), person=2, seen=seen)
@@ -434,11 +435,11 @@ def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: P
     facing[1, 0, 2] = standing[1, 0, 6] = 2.0
     ruined = {
         "people": [
-            [[0.0] * 7] * 4 + real.reshape(steps, -1)[:, :7].tolist(),  # who was not there
+            [[0.0] * 10] * 4 + real.reshape(steps, -1)[:, :10].tolist(),  # who was not there
             [[]] * 4 + facing.reshape(steps, -1).tolist(),
             [[]] * 4 + standing.reshape(steps, -1).tolist(),
-            [[]] * 4 + [[float("nan")] * 14] * 4,
-            [[]] * 4 + [[1.0] * 13] * 4,
+            [[]] * 4 + [[float("nan")] * 20] * 4,
+            [[]] * 4 + [[1.0] * 19] * 4,
         ],
         "people_doing": [
             [[]] * 4 + [values] * 4
@@ -459,6 +460,13 @@ def test_people_of_rows_read_back_and_what_makes_no_sense_is_refused(tmp_path: P
     pq.write_table(table.drop_columns(["person"]), path)
     with pytest.raises(FormatError, match="missing"):
         load_sample_table(path)
+    # rows of before people had a speed and a place before: they stood
+    place, kind = table.column_names.index("people"), table.schema.field("people")
+    values = [[]] * 4 + real[:, :, :7].reshape(steps, -1).tolist()
+    pq.write_table(table.set_column(place, kind, pa.array(values, kind.type)), path)
+    _, read = decode_rows(load_sample_table(path))
+    stood = np.dstack([real[:, :, :7], np.zeros((steps, count)), places])
+    assert read.people.same_as(StepPeople(stood, whole))
 
 
 @pytest.mark.slow

@@ -45,6 +45,7 @@ def episode(*people: EpisodePerson) -> Episode:
         ({"speed": float("nan")}, "speed"),
         ({"path": WAY[:1]}, "path"),
         ({"path": ((0.0, 0.0), (float("nan"), 1.0))}, "path"),
+        ({"path": ((0.0, 0.0), (1e300, 1.0))}, "path"),
         ({"path": ((0.0, 0.0), (0.01, 0.0))}, "path"),
         ({"behaviour": "stand"}, "path"),
         ({"after": "loop"}, "path"),

@@ -165,11 +165,14 @@ def describe_people(step: DrawnStep) -> dict[str, Any]:
     assert block.people is not None
     people = []
     for k, person in enumerate(step.episode.people):
-        x, y, face_x, face_y, walked, feet_x, feet_y = block.people.real[t, k].tolist()
+        x, y, face_x, face_y, walked, feet_x, feet_y, speed, *before = block.people.real[
+            t, k
+        ].tolist()
         walks, ticks, turned = block.people.whole[t, k].tolist()
         told = {
             "number": person.number, "identity": person.identity, "place": [x, y],
             "facing": [face_x, face_y], "walked": walked, "feet": [feet_x, feet_y],
+            "speed": speed, "place_before": before,
             "walks": bool(walks), "ticks": ticks, "turned_ticks": turned,
         }  # fmt: skip
         if seen is not None:

@@ -222,7 +222,8 @@ class _Maker:
         follow, unseen = self.follow, self._unseen(record.split)
         level, count = draw_level(follow, rng)
         others = self.company.plan(path, start, offsets[0], count, follow, rng)
-        if count and not others:
+        least = min(count, 1) if follow.count is msgspec.UNSET else count
+        if len(others) < least:
             return None, "no room for others"
         cast = open_cast(follow.cast_seed, follow.cast, unseen)
         chosen = choose_cast(level, len(others), cast, rng)

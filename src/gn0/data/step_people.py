@@ -1,10 +1,10 @@
 """The people of samples: what each did at each step, so that its picture can be made again.
 
 A row keeps what a picture of a person depends on and nothing of how people decide: place, heading,
-metres walked (of which the gait's phase is made), the way its feet stand, whether it walks, since
-when, and since when it has not turned. Who it is, its bank, speed and seat are in the episode's
-record of it; clip, blend, phase and head follow from both and from where the agent stands, see
-`gn0.people.shown`.
+metres walked (of which the gait's phase is made), the way its feet stand, its speed, its place a
+tick before, whether it walks, since when, and since when it has not turned. Who it is, its bank,
+speed asked for and seat are in the episode's record of it; clip, blend, phase and head follow from
+both and from where the agent stands, see `gn0.people.shown`.
 """
 
 from __future__ import annotations
@@ -30,16 +30,21 @@ from gn0.people.reach import (
     HX,
     HY,
     SETTLE,
+    SPEED,
     TURN_SINCE,
     WALK,
     WALKED,
+    X0,
+    Y0,
     X,
     Y,
 )
 
 # what `show_person` reads of a person's rows of `CrowdState`, in the order of the columns
-_REAL, _WHOLE = (X, Y, HX, HY, WALKED, FX, FY), (CLIP, CLIP_SINCE, TURN_SINCE)
+_REAL = (X, Y, HX, HY, WALKED, FX, FY, SPEED, X0, Y0)
+_WHOLE = (CLIP, CLIP_SINCE, TURN_SINCE)
 REALS, WHOLES, SEEN = len(_REAL), len(_WHOLE), 6  # numbers a person, in each of the columns
+_ONCE = 7  # of these, in sets of before 27 November 2026: feet of who sets off were drawn sliding
 I32 = NDArray[np.int32]
 
 
@@ -60,8 +65,8 @@ class StepPeople:
     """What P people did at T steps, in the order of `Episode.people`.
 
     Attributes:
-        real: float64 [T, P, 7]: place x, y [m], unit vector of the heading x, y, metres walked,
-            unit vector of the way that its feet stand x, y.
+        real: float64 [T, P, 10]: place x, y [m], unit vector of the heading x, y, metres walked,
+            unit vector of the way that its feet stand x, y, speed [m/s], place a tick before x, y.
         whole: int32 [T, P, 3]: 1 while it walks, else 0; ticks of 0.1 s since that changed; ticks
             since it turned on the spot, at most 8.
 
@@ -122,7 +127,7 @@ class StepCompany:
 
     Args:
         people: who they are, in the order of the rows.
-        real: [P, 7] as in `StepPeople`.
+        real: [P, 10] as in `StepPeople`.
         whole: [P, 3] likewise.
 
     Raises:
@@ -196,10 +201,18 @@ def read_people(
     person = int(rows.column("person")[0].as_py())
     if not flat["people"].size:
         return None, person, None
-    real = flat["people"].reshape(count, -1, REALS)
+    width = _width(flat["people"].size, flat["people_doing"].size)
+    real = flat["people"].reshape(count, -1, width)
+    if width == _ONCE:  # as if they had stood
+        real = np.concatenate([real, np.zeros((*real.shape[:2], 1)), real[:, :, :2]], axis=2)
     whole = flat["people_doing"].reshape(count, -1, WHOLES)
     seen = flat["people_seen"]
     return StepPeople(real, whole), person, seen.reshape(count, -1, SEEN) if seen.size else None
+
+
+def _width(reals: int, wholes: int) -> int:
+    """Numbers a person in the column `people`, of the sizes of both columns."""
+    return _ONCE if reals and reals * WHOLES == wholes * _ONCE else REALS
 
 
 def _values(table: pa.Table, name: str) -> NDArray[Any]:
@@ -220,7 +233,8 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
         name: np.asarray(pc.list_value_length(table.column(name)))
         for name in ("people", "people_doing", "people_seen")
     }
-    count, rest = np.divmod(sizes["people"], REALS)
+    width = _width(int(sizes["people"].sum()), int(sizes["people_doing"].sum()))
+    count, rest = np.divmod(sizes["people"], width)
     person = np.asarray(table.column("person"))
     first = np.zeros(table.num_rows, np.int64)
     first[list(begins)] = list(begins)
@@ -229,7 +243,7 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
     wrong: Mapping[str, tuple[NDArray[np.bool_], str]] = {
         "people": (
             (rest != 0) | (count > PEOPLE_MOST) | (count != count[first]),
-            f"is not {REALS} numbers a person, of as many people as the episode's first row",
+            f"is not {width} numbers a person, of as many people as the episode's first row",
         ),
         "people_doing": (
             sizes["people_doing"] != WHOLES * count, f"is not {WHOLES} numbers a person",
@@ -254,7 +268,7 @@ def find_faults(table: pa.Table, begins: Sequence[int]) -> tuple[str, int, str] 
     most = (WALK, np.iinfo(np.int32).max, SETTLE)
     if ((doing < 0) | (doing > most)).any():
         return "people_doing", 0, "or a later one says nothing that people do"
-    real = _values(table, "people").reshape(-1, REALS)
+    real = _values(table, "people").reshape(-1, width)
     for ways, what in ((real[:, 2:4], "faces nowhere"), (real[:, 5:7], "stands no way")):
         if len(ways) and (np.abs(np.hypot(*ways.T) - 1.0) > 1e-6).any():
             return "people", 0, f"or a later one {what}"

@@ -22,6 +22,7 @@ WALL_DISTANCE = 0.30  # m, of a person's centre from walls
 SPEEDS = (0.4, 1.6)  # m/s
 _POINTS_MOST, _STOPS_MOST = 4096, 64
 _LONGEST_STOP = 3600.0  # s
+_FARTHEST = 1e6  # m from the origin, far beyond any scene; squares of it stay finite
 _DRAWN = re.compile(r"drawn:(\d{1,10}):(\d{1,6})(?::([a-z_]{1,20}):(\d{1,10}))?")
 
 Behaviour = Literal["script", "stand", "sit"]
@@ -130,8 +131,9 @@ class EpisodePerson(
         count = len(self.path)
         plain = tuple((float(x), float(y)) for x, y in self.path)  # NumPy's own cannot be written
         msgspec.structs.force_setattr(self, "path", plain)
-        if not all(math.isfinite(x) and math.isfinite(y) for x, y in self.path):
-            raise _fault(where, "path", "holds NaN or infinity", "finite metres")
+        if not all(abs(x) <= _FARTHEST and abs(y) <= _FARTHEST for x, y in self.path):
+            give = f"metres up to {_FARTHEST:g}"
+            raise _fault(where, "path", "holds NaN, infinity or what is no place", give)
         if self.behaviour != "script":
             if count != 1:
                 raise _fault(where, "path", f"has {count} points", "the one spot of who stays")

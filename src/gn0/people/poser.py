@@ -25,7 +25,7 @@ from gn0.render.renderer import Renderer
 
 BANKS = 4  # open at a time
 AT_ONCE, AT_ONCE_DEVICE = 96, 600  # clouds of a call: all of them fit in the budget
-_HOW = tuple[str, int, str, int, int, int, int, float, int]
+_HOW = tuple[str, int, str, int, int, int, int, float, int, int, int]  # `Shown`, and the level
 
 
 class Whom(msgspec.Struct, frozen=True):

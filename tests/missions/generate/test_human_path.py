@@ -137,6 +137,8 @@ def test_what_cannot_be_walked_is_refused_with_the_reason() -> None:
 
 
 def test_settings_that_contradict_themselves_are_refused() -> None:
-    for wrong in ({"cruise": 0.8, "turn": 0.3}, {"levels": ()}, {"speeds": (0.9, 0.5)}):
+    for wrong in (
+        {"cruise": 0.8, "turn": 0.3}, {"levels": ()}, {"speeds": (0.9, 0.5)}, {"count": 5},
+    ):  # fmt: skip
         with pytest.raises(ConfigError):
             FollowSettings(**wrong)  # type: ignore[arg-type]

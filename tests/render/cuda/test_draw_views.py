@@ -12,7 +12,7 @@ from gn0.errors import RenderError
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.replay import Heard
-from gn0.render.cuda.tables import CLOUD, most_blocks, share_work
+from gn0.render.cuda.tables import CLOUD, choose_shares, most_blocks, share_work
 from gn0.render.cuda.tune import Tuning
 from gn0.testing.renderer_check import random_cloud
 from gn0_figures.flat import build_flat, flat_camera, flat_views
@@ -125,3 +125,15 @@ def test_a_grid_holds_all_shares_whatever_is_chosen() -> None:
         each = int(rng.integers(1, 6))
         least = share_work(clouds, shown, 0 * shown - 1, each).blocks
         assert least <= most_blocks(clouds["chunks"], len(shown), each)
+
+
+def test_blocks_of_few_people_take_few_chunks_whatever_scenes_take() -> None:
+    views, scene, person = 1024, np.full(40, 800), np.full(2, 43)
+    found = choose_shares([(scene, views), (person, views)], 32, 8, 8192)
+    assert (found.each, found.each_of_parts) == (7, 1)
+    assert found.of_parts == most_blocks(person, views, 32) < found.blocks
+    clouds = np.zeros(42, CLOUD)
+    clouds["chunks"] = np.concatenate([scene, person])
+    shown, nobody = np.arange(views) % 40, np.full(views, -1)
+    known = share_work(clouds, shown, nobody, 32, 8, 2048, np.full(views, 41)).sizes
+    assert (known.each, known.each_of_parts, known.of_parts) == (8, 1, 43 * 32)

@@ -56,9 +56,10 @@ def open_cast(seed: int, count: int, unseen: bool) -> Cast:
 
 
 def draw_level(settings: FollowSettings, rng: np.random.Generator) -> tuple[Level, int]:
-    """A level, and how many others it has."""
+    """A level, and how many others it has: as many as the settings say, else by chance."""
     level: Level = settings.levels[int(rng.integers(len(settings.levels)))]
-    return level, draw_count(level, int(rng.integers(2**31)))
+    drawn = draw_count(level, int(rng.integers(2**31)))
+    return level, drawn if settings.count is msgspec.UNSET else settings.count - 1
 
 
 def choose_cast(

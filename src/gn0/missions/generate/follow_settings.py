@@ -54,6 +54,8 @@ class FollowSettings(Config, frozen=True):
     Attributes:
         levels: who else is there, each as often: nobody, others who look different, others who
             differ in one word.
+        count: people in each mission, the followed one among them: exactly so many, or the draw
+            falls. As the level draws it when unset.
         cruise: share of people who walk on; turn: who look round on the way; the rest stops and
             goes on.
         speeds: m/s between which people walk.
@@ -77,6 +79,7 @@ class FollowSettings(Config, frozen=True):
     """
 
     levels: tuple[FollowLevelName, ...] = get_args(FollowLevelName)
+    count: Annotated[int, msgspec.Meta(ge=2, le=8)] | msgspec.UnsetType = msgspec.UNSET
     cruise: Share = 0.5
     turn: Share = 0.25
     speeds: tuple[Metres, Metres] = (0.4, 1.0)
@@ -102,6 +105,11 @@ class FollowSettings(Config, frozen=True):
             raise ConfigError(
                 "no levels, or one named twice", where="--levels",
                 remedy=f"name some of {', '.join(get_args(FollowLevelName))}",
+            )  # fmt: skip
+        if self.count is not msgspec.UNSET and "single" in self.levels:
+            raise ConfigError(
+                f"{self.count} people in each mission, and level single has one",
+                where="follow.count", remedy="leave it out: --levels distractors,ambiguous",
             )  # fmt: skip
         if self.cruise + self.turn > 1 + 1e-9:
             raise ConfigError(

@@ -28,7 +28,6 @@ from gn0.render.cuda.labels import LabelDrawer
 from gn0.render.cuda.lists import Blend, Lists
 from gn0.render.cuda.pictures import lay_pictures
 from gn0.render.cuda.records import (
-    BringClouds,
     CountEntries,
     EmitEntries,
     MarkTarget,
@@ -50,7 +49,6 @@ from gn0.render.cuda.replay import (
 from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import (
     CHUNK,
-    CLOUD,
     GROUP,
     TARGET,
     VIEW,
@@ -75,7 +73,6 @@ _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
 _ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
 _VIEW_WORDS = VIEW.itemsize // 4
-_CLOUD_WORDS = CLOUD.itemsize // 4
 _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _NOTHING_SENT = SentWords(None, None, np.uint32(0))  # but by a call that is replayed
@@ -524,15 +521,9 @@ class Drawer:
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
         """Let the device write the views of instances behind the others."""
-        kernels, table = self._kernels_for(work), work.part_table
         parts = lists.to_write_parts(work, instances, self._normals(instances))
-        if table is not None:
-            behind = lists.clouds[work.base * _CLOUD_WORDS :]
-            words = len(table) * _CLOUD_WORDS
-            bring = BringClouds(table.rows.reshape(words), np.uint32(words), behind)
-            kernels["bring_clouds"].launch(-(-words // 256), 256, bring)
         blocks = -(-max(len(instances), lists.count) // 128)
-        kernels["write_parts"].launch(blocks, 128, parts)
+        self._kernels_for(work)["write_parts"].launch(blocks, 128, parts)
 
     def record(
         self,

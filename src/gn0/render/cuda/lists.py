@@ -141,6 +141,7 @@ class Lists:
         scenes = self.listing._replace(group_count=np.uint32(first))
         instances = self.listing._replace(
             groups=self.groups[first * (GROUP.itemsize // 4) :],
+            each=np.uint32(self.sizes.each_of_parts),
             group_count=np.uint32(self.group_count - first),
         )
         both = [("entries", self.sizes.blocks - many, scenes), ("parts", many, instances)]
@@ -191,6 +192,8 @@ class Lists:
             count_=np.uint32(count),
             cloud_count=np.uint32(known),
             each=np.uint32(self.sizes.each),
+            first_part=np.uint32(self.sizes.first_part),
+            each_of_parts=np.uint32(self.sizes.each_of_parts),
             counts=shown,
             groups=self.groups,
             members=self.members,
@@ -215,6 +218,7 @@ class Lists:
             firsts=None if isinstance(firsts, int) else firsts,
             each=np.uint32(firsts if isinstance(firsts, int) else 0),
             clouds=self.clouds,
+            brought=None if instances.table is None else instances.table.rows,
             base=np.uint32(work.base),
             known=np.uint32(len(work.table) - work.base),
             normals=normals,

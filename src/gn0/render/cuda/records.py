@@ -114,6 +114,8 @@ class GroupViews(NamedTuple):
     count_: np.uint32
     cloud_count: np.uint32
     each: np.uint32
+    first_part: np.uint32
+    each_of_parts: np.uint32
     counts: DeviceArray
     groups: DeviceArray
     members: DeviceArray
@@ -130,6 +132,7 @@ class WriteParts(NamedTuple):
     firsts: DeviceArray | None
     each: np.uint32
     clouds: DeviceArray
+    brought: DeviceArray | None
     base: np.uint32
     known: np.uint32
     normals: DeviceArray
@@ -143,14 +146,6 @@ class WriteParts(NamedTuple):
     like: np.void
     views: DeviceArray
     parts: DeviceArray
-
-
-class BringClouds(NamedTuple):
-    """`bring_clouds`: rows of a table of clouds, behind those of a call."""
-
-    from_: DeviceArray
-    words: np.uint32
-    to: DeviceArray
 
 
 class TileLists(NamedTuple):
@@ -344,3 +339,17 @@ class FindSlots(NamedTuple):
     stamps: DeviceArray
     chosen: DeviceArray
     missing: DeviceArray
+
+
+class CountSeen(NamedTuple):
+    """`count_seen`: pixels that show each instance, those that it has alone, and their box."""
+
+    numbers: DeviceArray
+    alone: DeviceArray
+    views: DeviceArray
+    places: DeviceArray
+    rows: DeviceArray
+    pixels: np.uint64
+    width: np.uint32
+    shown: np.float32
+    out: DeviceArray

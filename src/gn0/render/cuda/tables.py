@@ -120,12 +120,14 @@ class ShareSizes(NamedTuple):
         of_parts: blocks that list instances, behind the others.
         first_part: the first group of theirs, if all before are of scenes alone; else 0, and
             there are no others.
+        each_of_parts: chunks that one of them lists.
     """
 
     blocks: int
     each: int
     of_parts: int = 0
     first_part: int = 0
+    each_of_parts: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,15 +193,18 @@ def share_work(
         first += int(counts.sum())
     table, rows = np.concatenate(tables), np.concatenate(all_rows)
     chunks = table["chunks"].astype(np.int64)
-    each = choose_chunks(int((chunks * rows).sum()), most_chunks, spread)
-    blocks = -(-chunks // each) * rows
-    table["first_block"] = np.cumsum(blocks) - blocks
     of_tails, of_parts = (len(table) for table in tables[1:])
     # keys of tails are others where there are instances: who lists these then lists all
-    first = 0 if of_tails else len(table) - of_parts
-    sizes = ShareSizes(int(blocks.sum()), each, int(blocks[first:].sum()), first)
-    if part_of is None:
-        sizes = sizes._replace(of_parts=0, first_part=0)
+    alone = part_of is None
+    first = len(table) if alone else 0 if of_tails else len(table) - of_parts
+    each, each_of_parts = (
+        choose_chunks(int((chunks * rows)[of].sum()), most_chunks, spread)
+        for of in (slice(first), slice(first, None))
+    )
+    blocks = -(-chunks // np.where(np.arange(len(table)) < first, each, each_of_parts)) * rows
+    table["first_block"] = np.cumsum(blocks) - blocks
+    many = int(blocks[first:].sum())
+    sizes = ShareSizes(int(blocks.sum()), each, many, 0 if alone else first, each_of_parts)
     return Shares(table, np.concatenate(members).astype(np.uint32), sizes)
 
 
@@ -223,10 +228,11 @@ def choose_shares(
     shown: Sequence[tuple[NDArray[np.integer], int]], views_a_block: int, most: int, spread: int
 ) -> ShareSizes:
     """Blocks that suffice for clouds of scenes, then of instances, and how many views choose."""
-    rows = sum(most_blocks(chunks, views, views_a_block) for chunks, views in shown)
-    each = choose_chunks(rows, most, spread)
-    blocks = [most_blocks(chunks, views, views_a_block, each) for chunks, views in shown]
-    return ShareSizes(sum(blocks), each, sum(blocks[1:]), len(shown[0][0]))
+    each, blocks = [], []
+    for chunks, views in shown:  # a block of people does not list as much because scenes' do
+        each.append(choose_chunks(most_blocks(chunks, views, views_a_block), most, spread))
+        blocks.append(most_blocks(chunks, views, views_a_block, each[-1]))
+    return ShareSizes(sum(blocks), each[0], blocks[1], len(shown[0][0]), each[1])
 
 
 def join_tables(*tables: NDArray[np.generic]) -> tuple[NDArray[np.uint32], list[slice]]:

@@ -14,6 +14,7 @@ from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.instances import NO_PART, Instances, find_whose
+from gn0.render.cuda.records import CountSeen
 from gn0.render.who import SHOWN, SeenInstance, WhoPictures
 
 SOURCE = KernelSource("who", (Path(__file__).parent / "kernels" / "who.cu",))
@@ -44,20 +45,6 @@ class WhoDevice(NamedTuple):
             rows = table[view * room : view * room + count].tolist()
             seen.append([_read(number, row) for number, row in enumerate(rows, start=1)])
         return WhoPictures(self.numbers.numpy(), seen)
-
-
-class CountSeen(NamedTuple):
-    """`count_seen`."""
-
-    numbers: DeviceArray
-    alone: DeviceArray
-    views: DeviceArray
-    places: DeviceArray
-    rows: DeviceArray
-    pixels: np.uint64
-    width: np.uint32
-    shown: np.float32
-    out: DeviceArray
 
 
 def count_all(

@@ -244,9 +244,11 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
   }
   if (each > 1) __syncthreads();  // else each warp has tested the one chunk
   for (u32 at = 0; at < each; at += stride) {
-    u32 c = at, number = threadIdx.x;  // of the chunk, and of the splat in it
-    if (stride > 1) {                  // some of several chunks' at once
-      c += threadIdx.x / (CHUNK / stride);
+    u32 c = at, number = threadIdx.x, dealt = FULL;  // of the chunk, and of the splat in it
+    if (stride > 1) {  // some of several chunks' at once, or of one chunk's for some of the views
+      u32 which = threadIdx.x / (CHUNK / stride);
+      if (each > 1) c += which;
+      else dealt = FULL / ((1u << stride) - 1) << which;
       number = threadIdx.x % (CHUNK / stride) * stride + c % stride;
     }
     if (each > 1) mask = c < each ? seen_by[c] : 0;
@@ -263,7 +265,7 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
     if (INSTANCES && g.tail) index += TAIL_INDEX;
     index <<= QUARTER_BITS;
     if (!INSTANCES && g.tail) index |= TAIL;
-    for (u32 rest = mask; rest; rest &= rest - 1) {
+    for (u32 rest = mask & dealt; rest; rest &= rest - 1) {
       const ViewHeld &one = held[__ffs(rest) - 1];
       u32 low = INSTANCES ? index | one.view.spare[IS_PART] : index;
       list_splat<EMIT>(s, low, load_view(one.view), one.nearer, flags, tiles_x, one.who * tiles, to);

@@ -43,12 +43,6 @@ KERNEL_BOUNDED(paint_parts, THREADS, BLOCKS)
 #define NEARER_MOST 1.f
 #define NO_PART -1  // instead of a cloud: nothing stands there
 
-// Words of a table of clouds, to behind the clouds of a call.
-KERNEL(bring_clouds)(const u32 *__restrict__ from, u32 words, u32 *to) {
-  u32 k = blockIdx.x * blockDim.x + threadIdx.x;
-  if (k < words) to[k] = from[k];
-}
-
 // Which view instance `i` belongs to, and how many of that view come before it. All views have
 // `each` instances, or view v those from firsts[v] to firsts[v + 1]; whatever `firsts` holds, it is
 // one of the views.
@@ -71,17 +65,20 @@ __device__ __forceinline__ u32 find_whose(const int *__restrict__ firsts, u32 ea
 // Behind `write_views`, which has written views `first` to `first + count` of `all`: the views
 // [instances] of instances behind them, from world-to-camera `matrices` [all, 4, 4] and part-to-world
 // `poses` [instances, 4, 4]; and what painting needs of each. `chosen` numbers their clouds, `known`
-// ones from `clouds + base` on, with normals at `normals`, in `bounds` (null: anywhere). `gains` [instances, 4, 3]
-// and `nearer` [instances] may be null.
+// ones from `clouds + base` on, with normals at `normals`, in `bounds` (null: anywhere). With `brought`
+// these are brought there from it. `gains` [instances, 4, 3] and `nearer` [instances] may be null.
 // Double precision, operation for operation as `gn0.render.cuda.instances` does it.
 KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restrict__ poses,
                     const float *__restrict__ gains, const float *__restrict__ nearer,
                     const int *__restrict__ chosen,
-                    const int *__restrict__ firsts, u32 each, const Cloud *__restrict__ clouds,
-                    u32 base, u32 known, const u64 *__restrict__ normals,
+                    const int *__restrict__ firsts, u32 each, Cloud *clouds,
+                    const Cloud *brought, u32 base, u32 known, const u64 *__restrict__ normals,
                     const float *__restrict__ bounds, double tolerance, u32 first, u32 count, u32 all,
                     u32 instances, u32 flags, View like, View *views, Part *parts) {
   u32 i = blockIdx.x * blockDim.x + threadIdx.x;
+  const Cloud *named = brought ? brought : clouds + base;
+  for (u32 k = i; brought && k < known * (sizeof(Cloud) / 4); k += gridDim.x * blockDim.x)
+    ((u32 *)(clouds + base))[k] = ((const u32 *)brought)[k];
   if (i < count) {
     int begin = firsts ? firsts[first + i] : (int)((first + i) * each);
     int end = firsts ? firsts[first + i + 1] : begin + (int)each;
@@ -103,7 +100,7 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
   bool here = whose >= first && whose - first < count && before < PARTS_MAX && number != NO_PART;
   here = here && views[whose - first].cloud != NOWHERE;  // a view that is none is told of alone
   u32 why = !is_finite(p, 16) ? PART_NOT_FINITE : !is_rigid(p, tolerance) ? PART_NOT_RIGID
-            : number < 0 || (u32)number >= known || clouds[base + number].rows == NOWHERE
+            : number < 0 || (u32)number >= known || named[number].rows == NOWHERE
                 ? PART_NOT_HERE : NOWHERE;
   if (here && why == NOWHERE && gains)
     for (int k = 0; k < 12; k++)
@@ -127,7 +124,7 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
     // whose capsule is out of sight is listed nowhere
     bool sight = !bounds || is_in_sight(bounds + (u64)number * 7, like, flags);
     like.cloud = sight ? base + (u32)number : NOWHERE;
-    part.cloud = clouds[base + number];
+    part.cloud = named[number];
     if (gains) {
       const float *g = gains + (u64)i * 12;
       part.normals = (const u32 *)normals[number];

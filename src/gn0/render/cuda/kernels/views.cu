@@ -69,10 +69,12 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
 #define GROUPERS 1024  // threads that group views
 
 // Groups [cloud_count] of the views that show each cloud, and their members; one block. A group may
-// be empty. In what order a group lists its members is the atomics' business, and cannot show.
+// be empty; from `first_part` on they are of instances. In what order a group lists its members is the
+// atomics' business, and cannot show.
 KERNEL_BOUNDED(group_views, GROUPERS, 1)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
- u32 cloud_count, u32 each, u32 *counts, Group *groups, u32 *members) {
+ u32 cloud_count, u32 each, u32 first_part, u32 each_of_parts, u32 *counts, Group *groups,
+ u32 *members) {
   __shared__ u64 held[GROUPERS / WARP];
   for (u32 c = threadIdx.x; c < cloud_count; c += GROUPERS) counts[c] = 0;
   __syncthreads();
@@ -83,7 +85,8 @@ KERNEL_BOUNDED(group_views, GROUPERS, 1)
   for (u32 base = 0; base < cloud_count; base += GROUPERS) {
     u32 c = base + threadIdx.x;
     u32 mine = c < cloud_count ? counts[c] : 0, chunks = c < cloud_count ? clouds[c].chunks : 0;
-    u64 both = (u64)mine << 32 | (u64)((chunks + each - 1) / each) * ((mine + VIEWS - 1) / VIEWS), sum = both;
+    u32 most = c < first_part ? each : each_of_parts, rows = (chunks + most - 1) / most;
+    u64 both = (u64)mine << 32 | (u64)rows * ((mine + VIEWS - 1) / VIEWS), sum = both;
     for (u32 d = 1; d < WARP; d <<= 1) {
       u64 other = __shfl_up_sync(FULL, sum, d);
       if (lane_id() >= d) sum += other;

@@ -40,13 +40,9 @@ __device__ __forceinline__ u32 find_slot(const TileRoom &t, u32 at, u32 size, co
   return slot < cloud.rows ? slot | tail : NOWHERE;
 }
 
-// Whether the group may hold what moves. Most do not, and are staged as if none could.
+// Whether the group may hold what moves. Most do not, and are walked as if none could.
 __device__ __forceinline__ bool may_move(const TileRoom &t) {
   return INSTANCES && (t.highest[1] & TAIL || t.view.tail != NOWHERE);
-}
-
-__device__ __forceinline__ u32 find_slot(const TileRoom &t, u32 at, u32 size, const Moving &moving) {
-  return may_move(t) ? find_slot<true>(t, at, size, moving) : find_slot<false>(t, at, size, moving);
 }
 
 // Stages what lies in `slot` as number `k`, and marks its reach.
@@ -137,10 +133,37 @@ __device__ __forceinline__ void tell_open(TileRoom &t, bool open) {
   if (threadIdx.x < BLENDERS && lane_id() == 0) t.open[threadIdx.x / WARP] = any;
 }
 
-// The same of a group in which something moves: called, so that what it needs costs the others nothing.
-template <bool COLOUR>
-__device__ __noinline__ void stage_moving(TileRoom &t, u32 k, u32 slot, u32 flags, const Moving &moving) {
-  stage_splat<COLOUR, true>(t, k, slot, flags, moving);
+// Stages and blends the `size` splats of a group; returns whether no pixel can still change.
+template <bool MOVES, class Painter>
+__device__ __forceinline__ bool walk_group(TileRoom &t, Painter &painter, u32 size, u32 flags,
+                                           const Moving &moving, float x, float x1, float y) {
+  u32 slot = find_slot<MOVES>(t, threadIdx.x, size, moving);
+  for (u32 first = 0; first < size; first += STAGE) {
+    for (u32 k = threadIdx.x; k < STAGE; k += THREADS) {
+      if (first + k / WARP * WARP >= size) break;  // none for this warp
+      if (k >= THREADS) slot = find_slot<MOVES>(t, first + k, size, moving);
+#pragma unroll
+      for (int w = 0; w < WARPS; w++) ((u32 *)t.rows[threadIdx.x])[w] = 0;
+      if (slot != NOWHERE) stage_splat<Painter::COLOUR, MOVES>(t, k, slot, flags, moving);
+      if (lane_id() == WARP - 1) {
+        Staged &none = t.staged[k / WARP * SPAN + WARP];
+        none.a = make_float4(0.f, 0.f, 0.f, 0.f), none.b = make_float4(0.f, -1e30f, 0.f, 0.f);
+        none.c = make_float2(0.f, 0.f);
+      }
+      __syncwarp();
+      tell_reach(t, k);
+      if (Painter::COLOUR && MOVES && slot != NOWHERE && slot & TAIL)
+        light_splat(t.staged[k / WARP * SPAN + k % WARP], moving.parts[find_part(t, slot)],
+                    slot & PART_INDEX);
+    }
+    __syncthreads();
+    if (__any_sync(FULL, painter.open()))
+      blend_stage(t, painter, first, min(size - first, (u32)STAGE), x, x1, y);
+    tell_open(t, painter.open());
+    slot = find_slot<MOVES>(t, first + STAGE + threadIdx.x, size, moving);  // while others still blend
+    if (!__syncthreads_or(painter.open())) return true;
+  }
+  return false;
 }
 
 // Walks the list of this block's tile, or of a quarter of it. A Painter has
@@ -175,34 +198,8 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
   tell_open(t, painter.open());
   __syncthreads();
   while (u32 size = bring_group(t)) {
-    u32 slot = find_slot(t, threadIdx.x, size, moving);
-    for (u32 first = 0; first < size; first += STAGE) {
-      for (u32 k = threadIdx.x; k < STAGE; k += THREADS) {
-        if (first + k / WARP * WARP >= size) break;  // none for this warp
-        if (k >= THREADS) slot = find_slot(t, first + k, size, moving);
-#pragma unroll
-        for (int w = 0; w < WARPS; w++) ((u32 *)t.rows[threadIdx.x])[w] = 0;
-        if (slot != NOWHERE) {
-          if (may_move(t)) stage_moving<Painter::COLOUR>(t, k, slot, flags, moving);
-          else stage_splat<Painter::COLOUR, false>(t, k, slot, flags, moving);
-        }
-        if (lane_id() == WARP - 1) {
-          Staged &none = t.staged[k / WARP * SPAN + WARP];
-          none.a = make_float4(0.f, 0.f, 0.f, 0.f), none.b = make_float4(0.f, -1e30f, 0.f, 0.f);
-          none.c = make_float2(0.f, 0.f);
-        }
-        __syncwarp();
-        tell_reach(t, k);
-        if (Painter::COLOUR && may_move(t) && slot != NOWHERE && slot & TAIL)
-          light_splat(t.staged[k / WARP * SPAN + k % WARP], moving.parts[find_part(t, slot)],
-                      slot & PART_INDEX);
-      }
-      __syncthreads();
-      if (__any_sync(FULL, painter.open()))
-        blend_stage(t, painter, first, min(size - first, (u32)STAGE), x, x1, y);
-      tell_open(t, painter.open());
-      slot = find_slot(t, first + STAGE + threadIdx.x, size, moving);  // while others still blend
-      if (!__syncthreads_or(painter.open())) return;
-    }
+    bool done = may_move(t) ? walk_group<true>(t, painter, size, flags, moving, x, x1, y)
+                            : walk_group<false>(t, painter, size, flags, moving, x, x1, y);
+    if (done) return;
   }
 }

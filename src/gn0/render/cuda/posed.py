@@ -298,18 +298,19 @@ def _cloud_of(
 ) -> CloudDevice:
     """A posed cloud in its memory."""
     device, at, owner = memory.device, memory.pointer, memory.owner
-    places = at + rows * SPLAT_BYTES
+    boxes = at + rows * SPLAT_BYTES
+    splats = DeviceArray(device, at, (rows, 4), _WORD, owner)
     return CloudDevice(
-        splats=DeviceArray(device, at, (rows, 4), _WORD, owner),
+        splats=splats,
         order=rest.order,
         places=None,  # a look-up less for each splat that is drawn
         sh=None,
-        boxes=DeviceArray(device, places, (rows // CHUNK, 7), _FLOAT, owner),
+        boxes=DeviceArray(device, boxes, (rows // CHUNK, 7), _FLOAT, owner),
         degree=0,
         ordered=False,
         size=rest.size,
         alive=rest.alive,
-        normals=DeviceArray(device, at, (rows * 4,), _WORD, owner),
+        normals=splats,  # among its words
         labels=rest.labels,
         rest=rest.rest,
         step=step,

@@ -7,6 +7,7 @@ pose them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from weakref import WeakSet
 
 import numpy as np
@@ -81,6 +82,7 @@ class PosedPlaces:
         return slab
 
 
+@lru_cache(1024)
 def _room(size: int) -> int:
     """A size rounded up by at most an eighth, so that people of about a size share slabs."""
     grain = max(_GRAIN, 1 << max((size - 1).bit_length() - 4, 0))

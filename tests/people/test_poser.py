@@ -51,7 +51,13 @@ PEOPLE = (
 
 def walk(step: int) -> StepCompany:
     """One stands, one walks across."""
-    real = np.array([[3.2, 3.0, -1, 0, 0, -1, 0], [3.6, 1.8 + 0.1 * step, 0, 1, 0.1 * step, 0, 1]])
+    x, y = 3.6, 1.8 + 0.1 * step
+    real = np.array(
+        [
+            [3.2, 3.0, -1, 0, 0, -1, 0, 0, 3.2, 3.0],
+            [x, y, 0, 1, 0.1 * step, 0, 1, 1.0, x, y - 0.1],
+        ]
+    )
     return StepCompany(PEOPLE, real, np.array([[0, 2 * step, 8], [1, 10, 8]], np.int32))
 
 

@@ -133,7 +133,7 @@ class EpisodePerson(
         msgspec.structs.force_setattr(self, "path", plain)
         if not all(abs(x) <= _FARTHEST and abs(y) <= _FARTHEST for x, y in self.path):
             give = f"metres up to {_FARTHEST:g}"
-            raise _fault(where, "path", "holds NaN, infinity or what is no place", give)
+            raise _fault(where, "path", "holds NaN, infinity or a place too far away", give)
         if self.behaviour != "script":
             if count != 1:
                 raise _fault(where, "path", f"has {count} points", "the one spot of who stays")

@@ -121,7 +121,7 @@ KERNEL_BOUNDED(move_people, CROWD_THREADS, 2)(World w, Crowd c, const u8 *codes)
   __shared__ Task tasks[TASKS];
   __shared__ double scores[TASKS][CANDIDATES_MOST];
   __shared__ u16 items[TASKS * CANDIDATES_MOST];  // candidates: task * 16 + number
-  __shared__ int asked, weighed;  // people who have a task, candidates that are in `items`
+  __shared__ int asked, weighed;  // people who have been given a task, candidates that are in `items`
   if (w.status[0] != CLEAR) return;  // all threads alike
   int lane = threadIdx.x, p = threadIdx.y, i = blockIdx.x * LANES + lane;
   int mine = p * LANES + lane, thread = mine, threads = blockDim.x * blockDim.y;
@@ -176,8 +176,7 @@ KERNEL_BOUNDED(move_people, CROWD_THREADS, 2)(World w, Crowd c, const u8 *codes)
         number = atomicAdd(&asked, 1);
       }
     }
-    __syncthreads();
-    int all = asked;
+    int all = __syncthreads_count(number >= 0);  // the same in every thread, which no load is sure to be
 #pragma unroll 1
     for (int first = 0; first < all; first += TASKS) {
       int slot = number - first;

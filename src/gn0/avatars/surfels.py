@@ -40,9 +40,9 @@ _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of i
 _INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thickness of a part
 _SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
 # a few wide discs below the others: hair or a collar behind would show between these
-_LINED, _LINING, _DEEPER = 5, 2.2, 2.4  # one in so many, and how much wider and deeper
+_LINED, _LINING, _DEEPER = 5, 2.0, 4.0  # one in so many, and how much wider and deeper
 _LINES = ("skin", "top", "bottom")  # what is lined,
-_THICK = 0.04  # where it is so thick, so that no ear and no finger is [m]
+_THICK = 0.08  # where it is so thick, so that no collar, no ear and no arm is [m]
 _HEMMED = ("hat", "top", "bottom", "socks", "shoes", "scarf")  # what ends where others go on
 _HEM = 1.6  # how far discs stay from where those end, in their standard deviations
 _COARSE = 0.03  # side of the cells in whose order rays are cast [m]

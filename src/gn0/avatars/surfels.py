@@ -39,6 +39,10 @@ _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of i
 # discs are seen half a pixel beyond where they end, so that they lie under the surface
 _INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thickness of a part
 _SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
+# a few wide discs below the others: hair or a collar behind would show between these
+_LINED, _LINING, _DEEPER = 5, 2.0, 4.0  # one in so many, and how much wider and deeper
+_LINES = ("skin", "top", "bottom")  # what is lined,
+_THICK = 0.08  # where it is so thick, so that no collar, no ear and no arm is [m]
 _HEMMED = ("hat", "top", "bottom", "socks", "shoes", "scarf")  # what ends where others go on
 _HEM = 1.6  # how far discs stay from where those end, in their standard deviations
 _COARSE = 0.03  # side of the cells in whose order rays are cast [m]
@@ -318,7 +322,15 @@ def _lay_discs(
     along, wide = disc_axes(normal, sheet.cell)
     deep = {"eyes": 0.0, "skin": _SKIN_INSET}.get(layer.part, _INSET)
     inset = deep * np.sqrt(wide[:, 0] * wide[:, 1])
-    inset = np.minimum(inset, _INSET_MOST * dressed.depth(point, normal, number))
+    thick = dressed.depth(point, normal, number)
+    inset = np.minimum(inset, _INSET_MOST * thick)
+    rows, count = np.arange(len(point)), len(point)
+    if layer.part in _LINES:
+        rows = np.concatenate([rows, rows[::_LINED][thick[::_LINED] > _THICK]])
+    sheet, point, normal, along = sheet.select(rows), point[rows], normal[rows], along[rows]
+    wide, inset = wide[rows], inset[rows]
+    wide[count:] *= _LINING
+    inset[count:] *= _DEEPER
     within = point
     if layer.part in _HEMMED:
         rim = find_rim(layer, dressed.posed[number])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gn0.avatars.layer import PARTS, Fitting, Layer, smooth_normals
 from gn0.avatars.rims import find_rim, keep_from_rim
 from gn0.avatars.sampling import SheetPoints, spread_points
+from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import SkinWeights, pack_weights, skin_points
 from gn0.geometry import F32, F64, quaternion_from_rotation, rotation_from_quaternion
 from gn0.scenes.mesh import join_meshes
@@ -41,7 +42,8 @@ _INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thic
 _SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
 # a few wide discs below the others: hair or a collar behind would show between these
 _LINED, _LINING, _DEEPER = 5, 2.0, 4.0  # one in so many, and how much wider and deeper
-_LINES = ("skin", "top", "bottom")  # what is lined,
+_LINES = ("skin", "top")  # what is lined, down to the chest: legs would come out of skirts,
+_CHEST = [INDEX[name] for name in ("spine2", "spine3", "neck", "head", "jaw")]
 _THICK = 0.08  # where it is so thick, so that no collar, no ear and no arm is [m]
 _HEMMED = ("hat", "top", "bottom", "socks", "shoes", "scarf")  # what ends where others go on
 _HEM = 1.6  # how far discs stay from where those end, in their standard deviations
@@ -325,8 +327,11 @@ def _lay_discs(
     thick = dressed.depth(point, normal, number)
     inset = np.minimum(inset, _INSET_MOST * thick)
     rows, count = np.arange(len(point)), len(point)
+    dense = sheet.blend(layer.weights.dense(), layer.triangles)
     if layer.part in _LINES:
-        rows = np.concatenate([rows, rows[::_LINED][thick[::_LINED] > _THICK]])
+        lined = rows[::_LINED][thick[::_LINED] > _THICK]
+        lined = lined[dense[lined][:, _CHEST].sum(axis=1) > 0.5]
+        rows = np.concatenate([rows, lined])
     sheet, point, normal, along = sheet.select(rows), point[rows], normal[rows], along[rows]
     wide, inset = wide[rows], inset[rows]
     wide[count:] *= _LINING
@@ -342,7 +347,7 @@ def _lay_discs(
         normals=normal,
         along=along,
         sizes=np.column_stack([wide, np.full(len(point), THICKNESS)]),
-        weights=sheet.blend(layer.weights.dense(), layer.triangles),
+        weights=dense[rows],
     )
 
 

@@ -40,7 +40,7 @@ _CLOSED = 1.5 / _OPEN_RAYS  # openness up to which skin of a head is inside of i
 # discs are seen half a pixel beyond where they end, so that they lie under the surface
 _INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thickness of a part
 _SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
-# a few wide discs below the others: hair or a collar behind would show between these
+# a few wide discs below the others, so that what is behind shows less between these
 _LINED, _LINING, _DEEPER = 5, 2.0, 4.0  # one in so many, and how much wider and deeper
 _LINES = ("skin", "top")  # what is lined, down to the chest: legs would come out of skirts,
 _CHEST = [INDEX[name] for name in ("spine2", "spine3", "neck", "head", "jaw")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import subprocess
 import sys
 import time
@@ -38,6 +39,7 @@ from gn0_trials.splat_transform import (
 
 COUNT = 1_000_000
 MUTANTS = 1_000_000
+_PARTS = 16  # of them, each of a seed of its own
 CUTS = 2000
 ALLOWANCE = 64e6  # bytes beyond the multiple of the decoded cloud
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
@@ -207,24 +209,31 @@ def measure_dialects(ctx: FigureContext) -> list[FigureRow]:
     ]  # fmt: skip
 
 
-def _fuzz(name: str, half: int) -> FuzzReport:
-    return fuzz_reader(find_target(name), count=MUTANTS // 2, seed=2026 + half)
+def _fuzz(name: str, part: int) -> FuzzReport:
+    return fuzz_reader(find_target(name), count=MUTANTS // _PARTS, seed=2026 + part)
 
 
 def measure_fuzz(name: str, ctx: FigureContext) -> list[FigureRow]:
-    """A million mutants for one reader, in two processes."""
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        halves = list(pool.map(_fuzz, [name] * 2, range(2)))
+    """A million mutants for one reader, the same for any number of cores."""
+    workers = min(os.cpu_count() or 1, _PARTS)
+    parts: list[FuzzReport] = []
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for part in pool.map(_fuzz, [name] * _PARTS, range(_PARTS)):
+            parts.append(part)
+            ctx.progress(f"mutants of {name}", len(parts), _PARTS)
     inputs, read, refused = (
-        sum(getattr(half, field) for half in halves) for field in ("inputs", "accepted", "refused")
+        sum(getattr(part, field) for part in parts) for field in ("inputs", "accepted", "refused")
     )
     detail = f"{inputs} inputs, {read} read, {refused} refused"
-    slowest = max(half.slowest_s for half in halves)
-    growth = max(half.peak_growth_bytes for half in halves)
+    faults = [f"{fault.seed_name}: {fault.what}" for part in parts for fault in part.faults]
+    if faults:
+        detail += "; " + "; ".join(faults[:3])
+    slowest = max(part.slowest_s for part in parts)
+    growth = max(part.peak_growth_bytes for part in parts)
     return [
-        row_at_most("foreign exceptions", sum(half.foreign for half in halves), 0, "", detail),
+        row_at_most("foreign exceptions", sum(part.foreign for part in parts), 0, "", detail),
         row_at_most(
-            "hangs (> 1 s a MB)", sum(half.hangs for half in halves), 0, "",
+            "hangs (> 1 s a MB)", sum(part.hangs for part in parts), 0, "",
             f"slowest {slowest * 1e3:.0f} ms of processor time",
         ),
         row_at_most("growth of peak memory", growth / 1e6, 64, "MB", "inputs of 0.3 to 20 kB"),

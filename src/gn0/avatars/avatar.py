@@ -8,7 +8,7 @@ the joints' quaternions, sizes stay.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -109,14 +109,7 @@ class Avatar:
 
         All posed clouds share these arrays, which is most of what they are.
         """
-        shadow = contact_shadow(self.joints)
-        assert shadow.label is not None and shadow.albedo is not None
-        kept = (
-            np.concatenate([self.scales, shadow.scales]),
-            np.concatenate([colour_sh(self.albedo), shadow.sh]),
-            np.concatenate([self.part, shadow.label]),
-            np.concatenate([self.albedo, shadow.albedo]),
-        )
+        kept = self._join_shadow()
         for array in kept:
             array.setflags(write=False)
         return kept
@@ -124,6 +117,29 @@ class Avatar:
     @cached_property
     def skin(self) -> SkinRows:
         """Its splats and what carries them, as posing reads them."""
+        return self._find_skin()
+
+    @cached_property
+    def rows(self) -> RestRows:
+        """Itself as it is posed into packed rows, 104 bytes a splat.
+
+        Raises:
+            RenderError: it holds a value that is not finite.
+        """
+        scales, sh, label, _ = self._join_shadow()  # not what is kept for clouds, which few need
+        more = ((0, SHADOWS), (0, 0))
+        cloud = GaussianCloud(
+            means=np.pad(self.points, more),
+            quats=np.pad(self.quats, more),
+            scales=scales,
+            # each pose says how dark its shadow is
+            opacities=np.pad(self.opacities, more[0], constant_values=1.0),
+            sh=sh,
+            label=label,
+        )
+        return pack_skin(self._find_skin(), cloud, SHADOWS)
+
+    def _find_skin(self) -> SkinRows:
         return SkinRows(
             points=np.ascontiguousarray(self.points),
             normals=np.ascontiguousarray(self.normals),
@@ -132,17 +148,15 @@ class Avatar:
             weight=np.ascontiguousarray(self.weights.weight, np.float32),
         )
 
-    @cached_property
-    def rows(self) -> RestRows:
-        """Itself as it is posed into packed rows.
-
-        Raises:
-            RenderError: it holds a value that is not finite.
-        """
-        cloud = self.pose()
-        opacities = cloud.opacities.copy()
-        opacities[len(self) :] = 1.0  # each pose says how dark its shadow is
-        return pack_skin(self.skin, replace(cloud, opacities=opacities), SHADOWS)
+    def _join_shadow(self) -> tuple[F32, F32, NDArray[np.int32], F32]:
+        shadow = contact_shadow(self.joints)
+        assert shadow.label is not None and shadow.albedo is not None
+        return (
+            np.concatenate([self.scales, shadow.scales]),
+            np.concatenate([colour_sh(self.albedo), shadow.sh]),
+            np.concatenate([self.part, shadow.label]),
+            np.concatenate([self.albedo, shadow.albedo]),
+        )
 
     def place_joints(
         self,

@@ -47,18 +47,21 @@ class Walkers:
         actors: who; as many stand there.
         away: of the first from the eye [m].
         focal: of the camera [px].
+        speed: of their walk [m/s].
     """
 
     actors: tuple[Actor, ...]
     away: float
     focal: float
+    speed: float = 1.0
 
     def wanted(self, turn: int) -> list[tuple[Hashable, PoseShown]]:
         """Keys of a bank, and what poses them, of picture `turn`."""
         found: list[tuple[Hashable, PoseShown]] = []
         for k, actor in enumerate(self.actors):
             shown = Shown(
-                *("walk", (turn + 8 * k) % PHASES, "", 0, 4, speed_class(1.0), look_class(0.0)),
+                *("walk", (turn + 8 * k) % PHASES, "", 0, 4),
+                *(speed_class(self.speed), look_class(0.0)),
                 seat=0.45,
             )
             level = choose_level(self.away + _FURTHER[k], self.focal)

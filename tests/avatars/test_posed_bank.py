@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from gn0.avatars.posed_bank import SPLAT_BYTES, PosedBank
 from gn0.avatars.poses import stride_pose
+from gn0.avatars.reuse import GONE, ReuseOrder
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
@@ -56,12 +57,60 @@ def test_bytes_stay_under_the_budget_and_clouds_are_those_asked_for(
     assert (bank.hits + bank.misses, bank.misses) == (asked, made)
 
 
-def test_what_was_asked_for_least_recently_makes_room() -> None:
+def test_what_was_asked_for_once_makes_room_before_what_comes_again() -> None:
     bank = PosedBank(3 * SPLAT_BYTES)
     for key in ("a", "b", "c", "a", "d"):
         bank.fetch([(key, lambda: dots(1))])
-    assert "b" not in bank and all(key in bank for key in "acd")
+    assert "c" not in bank and all(key in bank for key in "abd")
     assert (bank.hits, bank.misses, bank.hit_rate, len(bank)) == (1, 4, 0.2, 3)
+
+
+def test_of_a_cycle_that_does_not_fit_as_much_is_there_as_fits() -> None:
+    """Where the least recent makes room, the next is always the one that is gone."""
+    bank = PosedBank(60 * SPLAT_BYTES)
+    hits = []
+    for turn in range(8 * 50):
+        before = bank.hits
+        bank.fetch([((who, turn % 50), lambda: dots(1)) for who in "ab"])
+        hits.append(bank.hits - before)
+        assert bank.bytes <= bank.budget
+    assert sum(hits[:100]) >= 0.25 * 200, "from the second cycle on"
+    assert sum(hits[100:]) >= 0.55 * 600, "60 of 100 fit, of which the last may always go"
+
+
+def test_people_who_come_instead_of_others_are_there_at_their_third_cycle() -> None:
+    """What is not asked for grows old, however often it was."""
+    bank = PosedBank(40 * SPLAT_BYTES)
+    for who in ("first", "second", "third"):
+        for turn in range(6 * 30):
+            before = bank.misses
+            bank.fetch([((who, turn % 30), lambda: dots(1))])
+            assert turn < 3 * 30 or bank.misses == before, (who, turn)
+
+
+def test_what_makes_room_does_not_depend_on_chance() -> None:
+    stream = np.random.default_rng(2)
+    asked = stream.integers(0, 60, (500, 3)).tolist()
+    runs = []
+    for _ in range(2):
+        bank, misses = PosedBank(40 * SPLAT_BYTES), []
+        for keys in asked:
+            bank.fetch([(f"{key}", lambda: dots(1)) for key in keys])
+            misses.append(bank.misses)
+        runs.append(misses)
+    assert runs[0] == runs[1] and 0.5 < bank.hit_rate < 0.9
+
+
+def test_requests_are_remembered_of_few_that_are_gone() -> None:
+    order = ReuseOrder()
+    for key in range(3 * GONE):
+        order.ask([key])
+        if key >= 2:
+            gone = order.choose()
+            assert gone is not None
+            order.drop(gone)
+    sizes = [len(getattr(order, name)) for name in ("_last", "_gap", "_gone", "_ranked")]
+    assert sizes[:2] == [2, 2] and sizes[2] <= GONE and sizes[3] < 200
 
 
 def test_names_are_given_again_to_clouds_of_their_size() -> None:

@@ -70,7 +70,8 @@ def test_lists_hold_every_splat_of_every_tile_once() -> None:
     total = scan_tiles(histogram, starts)
     assert total == sum(map(len, want)) == starts[-1]
     rows, listed = np.empty(total, np.int32), np.empty(total, np.uint32)
-    fill_tiles(ranges, counts, rects, keys, tiles_x, histogram, rows, listed)
+    turns = spread_rows(blocks)
+    fill_tiles(ranges, turns, counts, rects, keys, tiles_x, histogram, rows, listed)
     assert [rows[starts[t] : starts[t + 1]].tolist() for t in range(len(want))] == want
     assert (listed == keys[rows]).all()
 

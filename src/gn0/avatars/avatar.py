@@ -7,21 +7,24 @@ the joints' quaternions, sizes stay.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.avatars.body import check_pose
 from gn0.avatars.layer import PARTS
+from gn0.avatars.posed_rows import RestRows, SkinRows, pack_skin, pose_packed, pose_splats
+from gn0.avatars.posture import Posture, place_joints
 from gn0.avatars.skeleton import INDEX
-from gn0.avatars.skinning import SkinWeights, pose_joints
+from gn0.avatars.skinning import SkinWeights
 from gn0.errors import DataError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.film import encode_srgb
-from gn0.geometry import F32, F64, quaternion_from_rotation
-from gn0.jit import njit, prange
+from gn0.geometry import F32, F64
+from gn0.jit import njit
+from gn0.render.cpu_posed import PosedPacked
 
 TO_WORLD: F64 = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of the body's axes
 TO_WORLD.setflags(write=False)
@@ -106,33 +109,66 @@ class Avatar:
 
         All posed clouds share these arrays, which is most of what they are.
         """
+        kept = self._join_shadow()
+        for array in kept:
+            array.setflags(write=False)
+        return kept
+
+    @cached_property
+    def skin(self) -> SkinRows:
+        """Its splats and what carries them, as posing reads them."""
+        return self._find_skin()
+
+    @cached_property
+    def rows(self) -> RestRows:
+        """Itself as it is posed into packed rows, 104 bytes a splat.
+
+        Raises:
+            RenderError: it holds a value that is not finite.
+        """
+        scales, sh, label, _ = self._join_shadow()  # not what is kept for clouds, which few need
+        more = ((0, SHADOWS), (0, 0))
+        cloud = GaussianCloud(
+            means=np.pad(self.points, more),
+            quats=np.pad(self.quats, more),
+            scales=scales,
+            # each pose says how dark its shadow is
+            opacities=np.pad(self.opacities, more[0], constant_values=1.0),
+            sh=sh,
+            label=label,
+        )
+        return pack_skin(self._find_skin(), cloud, SHADOWS)
+
+    def _find_skin(self) -> SkinRows:
+        return SkinRows(
+            points=np.ascontiguousarray(self.points),
+            normals=np.ascontiguousarray(self.normals),
+            quats=np.ascontiguousarray(self.quats),
+            joint=np.ascontiguousarray(self.weights.joint),
+            weight=np.ascontiguousarray(self.weights.weight, np.float32),
+        )
+
+    def _join_shadow(self) -> tuple[F32, F32, NDArray[np.int32], F32]:
         shadow = contact_shadow(self.joints)
         assert shadow.label is not None and shadow.albedo is not None
-        kept = (
+        return (
             np.concatenate([self.scales, shadow.scales]),
             np.concatenate([colour_sh(self.albedo), shadow.sh]),
             np.concatenate([self.part, shadow.label]),
             np.concatenate([self.albedo, shadow.albedo]),
         )
-        for array in kept:
-            array.setflags(write=False)
-        return kept
 
     def place_joints(
         self,
         pose: NDArray[np.floating] | None = None,
         shift: NDArray[np.floating] | None = None,
-    ) -> tuple[F64, F64, F64]:
-        """What a pose does to each joint; see `pose` for arguments and errors.
+    ) -> Posture:
+        """What a pose does to each joint, the same at all levels of detail; see `pose`.
 
-        Returns:
-            Transforms from rest to GN0's axes [55, 3, 4], their turns (w, x, y, z) [55, 4], and
-            posed joints in the body's axes [55, 3] m.
+        Raises:
+            DataError: the pose has another number of joints, or is not finite.
         """
-        angles = np.zeros((55, 3)) if pose is None else check_pose(pose)
-        transforms, joints = pose_joints(self.joints, angles, shift)
-        world = np.einsum("ab,jbc->jac", TO_WORLD, transforms)
-        return world, quaternion_from_rotation(world[:, :, :3]), joints
+        return place_joints(self.joints, np.zeros((55, 3)) if pose is None else pose, shift)
 
     def pose(
         self,
@@ -151,18 +187,18 @@ class Avatar:
         Raises:
             DataError: the pose has another number of joints, or is not finite.
         """
-        world, turns, joints = self.place_joints(pose, shift)
+        return self.pose_as(self.place_joints(pose, shift), shadow=shadow)
+
+    def pose_as(self, posture: Posture, *, shadow: bool = True) -> GaussianCloud:
+        """The cloud of `pose`, of joints that are placed already."""
         count = len(self)
         total = count + SHADOWS if shadow else count
         means, quats, normals = (np.empty((total, k), np.float32) for k in (3, 4, 3))
         opacities = np.empty(total, np.float32)
         opacities[:count] = self.opacities
-        _pose(
-            self.points, self.normals, self.quats, self.weights.joint,
-            self.weights.weight.astype(np.float32), world, turns, means, quats, normals,
-        )  # fmt: skip
+        pose_splats(*self.skin.arrays, posture.transforms, posture.turns, means, quats, normals)
         if shadow:
-            below = contact_shadow(joints)
+            below = contact_shadow(posture.joints)
             means[count:], quats[count:], normals[count:] = below.means, below.quats, below.normal
             opacities[count:] = below.opacities
         scales, sh, label, albedo = self.kept
@@ -176,6 +212,14 @@ class Avatar:
             albedo=albedo[:total],
             normal=normals,
         )
+
+    def pose_packed(self, posture: Posture) -> PosedPacked:
+        """The cloud of `pose_as`, to the bit, as the CPU renderer draws it.
+
+        Raises:
+            RenderError: the person holds a value that is not finite.
+        """
+        return pose_packed(self.rows, posture, shadow_places(posture.joints))
 
 
 def colour_sh(albedo: F32) -> F32:
@@ -214,69 +258,33 @@ def shadow_places(joints: F64) -> F32:
     Returns:
         [..., SHADOWS, 4].
     """
-    at = joints[..., _AT_SHADOWS, :]
-    ankles, toes, pelvis = at[..., :2, :], at[..., 2:4, :], at[..., 4, :]
-    lifted = np.maximum(toes[..., 1] - 0.02, 0.0)
-    along = (toes - ankles) * (1.0, 0.0, 1.0)
-    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-6)
-    across = along[..., [2, 1, 0]] * (1.0, 0.0, -1.0)
-    middle = 0.4 * ankles + 0.6 * toes
-    feet = (
-        middle[..., None, :]
-        + _FOOT[:, 0, None] * along[..., None, :]
-        + _FOOT[:, 1, None] * across[..., None, :]
-    )
-    wide = pelvis[..., None, :] + np.column_stack([_WIDE[:, 0], np.zeros(len(_WIDE)), _WIDE[:, 1]])
     many = joints.shape[:-2]
-    places = np.concatenate([feet.reshape(*many, -1, 3), wide], axis=-2)
     found = np.empty((*many, SHADOWS, 4), np.float32)
-    found[..., 0], found[..., 1], found[..., 2] = places[..., 2], places[..., 0], _RAISED
-    treads = np.exp(-lifted / 0.08)[..., None] * _FOOT[:, 2]
-    found[..., : 2 * len(_FOOT), 3] = treads.reshape(*many, -1)
-    found[..., 2 * len(_FOOT) :, 3] = (
-        np.exp(-np.maximum(pelvis[..., 1, None] - 0.9, 0.0)) * _WIDE[:, 2]
-    )
+    flat = np.ascontiguousarray(joints, np.float64).reshape(-1, *joints.shape[-2:])
+    _lay_shadows(flat, found.reshape(-1, SHADOWS, 4))
     return found
 
 
-@njit(parallel=True)
-def _pose(points, normals, quats, joint, weight, world, turns, out, turned, faced):  # type: ignore[no-untyped-def]
-    for n in prange(points.shape[0]):
-        first = joint[n, 0]
-        w = x = y = z = 0.0
-        p0 = p1 = p2 = 0.0
-        a, b, c = points[n, 0], points[n, 1], points[n, 2]
-        for k in range(joint.shape[1]):
-            share = weight[n, k]
-            if share <= 0.0:
-                continue
-            j = joint[n, k]
-            m = world[j]
-            p0 += share * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3])
-            p1 += share * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3])
-            p2 += share * (m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3])
-            q = turns[j]
-            r = turns[first]
-            # of the two quaternions of a turn, the one on the side of the heaviest joint's
-            if q[0] * r[0] + q[1] * r[1] + q[2] * r[2] + q[3] * r[3] < 0.0:
-                share = -share
-            w += share * q[0]
-            x += share * q[1]
-            y += share * q[2]
-            z += share * q[3]
-        length = np.sqrt(w * w + x * x + y * y + z * z)
-        w, x, y, z = w / length, x / length, y / length, z / length
-        out[n, 0], out[n, 1], out[n, 2] = p0, p1, p2
-        a, b, c, d = quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3]
-        turned[n, 0] = w * a - x * b - y * c - z * d
-        turned[n, 1] = w * b + x * a + y * d - z * c
-        turned[n, 2] = w * c - x * d + y * a + z * b
-        turned[n, 3] = w * d + x * c - y * b + z * a
-        a, b, c = normals[n, 0], normals[n, 1], normals[n, 2]
-        # v + 2 q × (q × v + w v)
-        e = y * c - z * b + w * a
-        f = z * a - x * c + w * b
-        g = x * b - y * a + w * c
-        faced[n, 0] = a + 2.0 * (y * g - z * f)
-        faced[n, 1] = b + 2.0 * (z * e - x * g)
-        faced[n, 2] = c + 2.0 * (x * f - y * e)
+@njit
+def _lay_shadows(joints, found):  # type: ignore[no-untyped-def]
+    for n in range(joints.shape[0]):
+        at, out = joints[n], found[n]
+        out[:, 2] = _RAISED
+        for foot in range(2):
+            ankle, toe = at[_AT_SHADOWS[foot]], at[_AT_SHADOWS[2 + foot]]
+            x, z = toe[0] - ankle[0], toe[2] - ankle[2]
+            length = max(math.sqrt(x * x + z * z), 1e-6)
+            x, z = x / length, z / length
+            tread = math.exp(-max(toe[1] - 0.02, 0.0) / 0.08)
+            for k in range(_FOOT.shape[0]):
+                row = out[foot * _FOOT.shape[0] + k]
+                u, v, dark = _FOOT[k, 0], _FOOT[k, 1], _FOOT[k, 2]
+                row[0] = 0.4 * ankle[2] + 0.6 * toe[2] + u * z - v * x
+                row[1] = 0.4 * ankle[0] + 0.6 * toe[0] + u * x + v * z
+                row[3] = tread * dark
+        pelvis = at[_AT_SHADOWS[4]]
+        faint = math.exp(-max(pelvis[1] - 0.9, 0.0))
+        for k in range(_WIDE.shape[0]):
+            row = out[2 * _FOOT.shape[0] + k]
+            row[0], row[1] = pelvis[2] + _WIDE[k, 1], pelvis[0] + _WIDE[k, 0]
+            row[3] = faint * _WIDE[k, 2]

@@ -154,7 +154,9 @@ def claim_folder(out: Path, args: Args) -> None:
 def _draw_pictures(scene_folder: Path, pictures: Path, seed: int, progress: Progress) -> None:
     """The sheet, and its four views as files of their own, with people in some of them."""
     from gn0.render.open import build_renderer
+    from gn0.render.renderer import DrawnScene
     from gn0.scenes.folder import load_scene
+    from gn0.sim.people_eyes import PeopleEyes
     from gn0.viewer.bystanders import show_bystanders
     from gn0.viewer.scene_sheet import render_sheet, render_views
     from gn0.viewer.viewpoints import choose_viewpoints
@@ -164,7 +166,8 @@ def _draw_pictures(scene_folder: Path, pictures: Path, seed: int, progress: Prog
     renderer = build_renderer(scene.gaussians)
     pictures.mkdir(parents=True, exist_ok=True)
     poses = choose_viewpoints(scene, renderer=renderer)
-    people = show_bystanders(scene, renderer, poses, 800.0, seed=seed)
+    eyes = PeopleEyes(scene, DrawnScene(renderer))
+    people = show_bystanders(eyes, poses, 800.0, seed=seed)
     render_sheet(scene, renderer, people=people).save(pictures / "sheet.jpg", quality=90)
     views = render_views(renderer, poses, 800, 600, people=people)
     for number, view in enumerate(views, 1):

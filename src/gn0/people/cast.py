@@ -7,7 +7,7 @@ cache folder, by what they are made of.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -22,15 +22,18 @@ from gn0.avatars.held import BOX_SPACING, HELD, hold_thing
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
 from gn0.avatars.person import build_person
+from gn0.avatars.posture import Posture
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import pose_joints
 from gn0.errors import EpisodeError, Gn0Error
+from gn0.geometry import F64
 from gn0.people.identities import find_identity
 from gn0.people.person import EpisodePerson, drawn_identity
 from gn0.storage import cache_dir, content_hash
 from gn0.version import source_version
 
 _KEPT = 48  # actors in memory, about 6 MB each
+_POSTURES = 64  # of an actor, 8 kB each
 _DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
 
 
@@ -50,6 +53,7 @@ class Actor:
     _libraries: dict[float, ClipLibrary] = field(default_factory=dict)
     _seats: dict[float, float] = field(default_factory=dict)
     _holding: dict[tuple[str, int], Avatar] = field(default_factory=dict)
+    _postures: OrderedDict[Hashable, Posture] = field(default_factory=OrderedDict)
 
     def level(self, number: int, clip: str = "") -> Avatar:
         """A level of detail, with what hands hold in a clip."""
@@ -60,6 +64,23 @@ class Actor:
             spacing = BOX_SPACING * GRAIN[number] / GRAIN[0]
             self._holding[key] = hold_thing(self.levels[number], clip, spacing)
         return self._holding[key]
+
+    def posture(self, key: Hashable, turn: Callable[[], tuple[F64, F64]]) -> Posture:
+        """What a pose does to its joints, once for all levels of detail; the latest are kept.
+
+        Args:
+            key: of the pose.
+            turn: gives it, angles [55, 3] rad and shift [3] m.
+
+        Raises:
+            DataError: the pose is not finite.
+        """
+        found = self._postures.get(key)
+        if found is None:
+            found = self._postures[key] = self.levels[0].place_joints(*turn())
+            if len(self._postures) > _POSTURES:
+                self._postures.popitem(last=False)
+        return found
 
     def library(self, seat: float) -> ClipLibrary:
         """Its clips, those of sitting on a seat of a height [m]."""

@@ -21,6 +21,7 @@ from gn0.errors import EpisodeError, FormatError, RenderError, brief
 from gn0.people.cast import Actor, Cast
 from gn0.people.person import drawn_identity
 from gn0.people.shown import PoseShown, Shown
+from gn0.render.cpu_posed import PosedPacked
 from gn0.render.renderer import Renderer
 
 BANKS = 4  # open at a time
@@ -55,6 +56,20 @@ class NamesPosed(Protocol):
 
     def name_posed(self, source: Mapping[str, Any], how: tuple[str | int | float, ...]) -> str:
         """A name for `Instance` of somebody in a pose."""
+        ...
+
+
+@runtime_checkable
+class TakesPacked(Protocol):
+    """A renderer that may take clouds posed as it draws them: `RendererCpu`, `RendererHost`."""
+
+    @property
+    def takes_packed(self) -> bool:
+        """Whether it does."""
+        ...
+
+    def name_packed(self, name: str, posed: PosedPacked) -> None:
+        """Make one known by a name."""
         ...
 
 
@@ -100,7 +115,8 @@ def open_posed(renderer: object, bank: AvatarBank | None = None, budget: int = B
         return PosedBankDevice(renderer, budget)
     if isinstance(renderer, NamesPosed) and renderer.poses:
         return PosedThere(renderer, bank)
-    return PosedBank(budget)
+    packed = isinstance(renderer, TakesPacked) and renderer.takes_packed
+    return PosedBank(budget, packed=packed)
 
 
 def name_posed(

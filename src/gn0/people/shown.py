@@ -30,6 +30,7 @@ from gn0.avatars.motion.library import (
 )
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS, Steps
+from gn0.avatars.posture import Posture
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.people.cast import Actor
@@ -51,6 +52,7 @@ from gn0.people.reach import (
     Y,
 )
 from gn0.people.route import BRAKE, I64
+from gn0.render.cpu_posed import PosedPacked
 from gn0.seeds import derive_seed
 
 _STEP = 12  # frames of a clip by time that one is shown for: two fifths of a second
@@ -219,7 +221,15 @@ class PoseShown:
 
     def __call__(self) -> GaussianCloud:
         """The posed cloud."""
-        return pose_shown(self.actor, self.shown, self.level)
+        return self.avatar.pose_as(self._posture)
+
+    def pack(self) -> PosedPacked:
+        """The same, to the bit, as the CPU renderer draws it."""
+        return self.avatar.pose_packed(self._posture)
+
+    @property
+    def _posture(self) -> Posture:
+        return self.actor.posture(self.shown, self.turn)
 
     @property
     def avatar(self) -> Avatar:
@@ -243,7 +253,7 @@ class PoseShown:
 
 def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
     """The posed cloud of a key, at a level of detail."""
-    return actor.level(level, shown.clip).pose(*turn_shown(actor, shown))
+    return PoseShown(actor, shown, level)()
 
 
 def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:

@@ -22,10 +22,11 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.render import cpu_project as project
 from gn0.render.camera import Camera
-from gn0.render.cpu_bin import BLOCKS, fill_tiles, scan_tiles
+from gn0.render.cpu_bin import BLOCK_LEAST, BLOCKS, fill_tiles, scan_tiles
 from gn0.render.cpu_labels import SLOTS, label_tiles
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
 from gn0.render.cpu_parts import NO_GAIN, NO_NORMALS, NamedClouds, PlacedPart
+from gn0.render.cpu_posed import PosedPacked
 from gn0.render.cpu_raster import TILE, raster_tiles
 from gn0.render.instance import Parts, check_parts
 from gn0.render.labels import U32, check_labelled, encode_labels, split_codes
@@ -48,6 +49,7 @@ class RendererCpu:
     """Renders one cloud with Numba. Buffers are kept between calls: one thread at a time."""
 
     name = "cpu"
+    takes_packed = True  # `name_packed` is there
     label_slots = SLOTS  # labels that a tile has room for at a time; never changes a byte
 
     def __init__(
@@ -86,6 +88,14 @@ class RendererCpu:
         """
         with _threads(self.options.threads):
             self._named.hold(name, cloud)
+
+    def name_packed(self, name: str, posed: PosedPacked) -> None:
+        """Make a posed cloud known by a name, for instances of it, as long as somebody holds it.
+
+        Raises:
+            RenderError: no name.
+        """
+        self._named.hold_packed(name, posed)
 
     def render(
         self,
@@ -282,26 +292,30 @@ class RendererCpu:
                 drawn.append(found)
         total = sum(len(each.chunks) for each in drawn)
         buffers.need_rows(total * CHUNK)
-        histogram, starts = buffers.need_tiles(tiles_x * tiles_y, len(drawn) * BLOCKS)
+        shares = [min(BLOCKS, -(-len(each.chunks) // BLOCK_LEAST)) for each in drawn]
+        histogram, starts = buffers.need_tiles(tiles_x * tiles_y, sum(shares))
         counts = np.zeros(total, np.int32)
         ranges = np.empty((len(histogram), 2), np.int64)
-        done = 0
-        for index, each in enumerate(drawn):
+        done = first = 0
+        for share, each in zip(shares, drawn, strict=True):
             cloud, chunks = each.cloud, each.chunks
-            blocks = slice(index * BLOCKS, (index + 1) * BLOCKS)
+            blocks = slice(first, first + share)
             project.project_chunks(
                 *(cloud.pack, cloud.order, np.int32(each.first), cloud.sh, cloud.degree, chunks),
                 *(each.view, ortho, self.options.antialiased, done * CHUNK, tiles_x),
                 *(buffers.records, buffers.rects, buffers.keys, buffers.indices),
                 *(counts[done : done + len(chunks)], histogram[blocks], each.gain, each.normals),
+                *(cloud.still, cloud.floor, cloud.floor_at),
             )
-            edges = done + np.arange(BLOCKS + 1) * len(chunks) // BLOCKS
+            edges = done + np.arange(share + 1) * len(chunks) // max(share, 1)
             ranges[blocks, 0], ranges[blocks, 1] = edges[:-1], edges[1:]
             done += len(chunks)
+            first += share
         marks.append(time.perf_counter())
         buffers.need_entries(int(scan_tiles(histogram, starts)))
         fill_tiles(
-            *(ranges, counts, buffers.rects, buffers.keys, tiles_x, histogram),
+            *(ranges, spread_rows(len(ranges)), counts, buffers.rects, buffers.keys),
+            *(tiles_x, histogram),
             *(buffers.tile_rows[0], buffers.tile_keys[0]),
         )
         marks.append(time.perf_counter())
@@ -382,7 +396,7 @@ class _Buffers:
 
 @cache
 def spread_rows(count: int) -> NDArray[np.int32]:
-    """Tile rows in bit-reversed order: any contiguous share holds rows of the whole picture."""
+    """Numbers, of tile rows say, in bit-reversed order: any contiguous share holds some of all."""
     bits = max(count - 1, 1).bit_length()
     order = [int(f"{row:0{bits}b}"[::-1], 2) for row in range(1 << bits)]
     return np.array([row for row in order if row < count], np.int32)

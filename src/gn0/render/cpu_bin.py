@@ -13,7 +13,8 @@ from gn0.jit import njit, prange
 from gn0.render.cpu_pack import CHUNK
 from gn0.render.cpu_project import ORDER
 
-BLOCKS = 16  # blocks a cloud: enough for any core count in use, few enough to scan
+BLOCKS = 16  # blocks a cloud at most: enough for any core count in use, few enough to scan
+BLOCK_LEAST = 4  # chunks of a block, of clouds that are too small for so many
 _DIGIT, _DIGIT_LONG, _DIGIT_LONGEST = 9, 12, 13  # most bits a radix pass, by the list's length
 _LONG, _LONGEST = 1024, 2400
 _BLOCK = 64  # entries looked at for ties at once
@@ -38,12 +39,14 @@ def scan_tiles(histogram, starts):  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True)
-def fill_tiles(ranges, counts, rects, keys, tiles_x, histogram, tile_rows, tile_keys):  # type: ignore[no-untyped-def]
+def fill_tiles(ranges, turns, counts, rects, keys, tiles_x, histogram, tile_rows, tile_keys):  # type: ignore[no-untyped-def]
     """List each tile's rows and their depth keys, block by block.
 
     `ranges` [blocks, 2] are the chunks of a block; `histogram` holds its places and is used up.
+    `turns` [blocks] says which block is when, so that each thread has its share of a large cloud.
     """
-    for b in prange(ranges.shape[0]):
+    for turn in prange(ranges.shape[0]):
+        b = turns[turn]
         cursor = histogram[b]
         for v in range(ranges[b, 0], ranges[b, 1]):
             for row in range(v * CHUNK, v * CHUNK + counts[v]):

@@ -7,7 +7,7 @@ index a splat had in its cloud goes with it, because equal depths are drawn in t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,20 @@ FIELDS = 18
 # fields of a chunk: mean 0-2, factor M of the covariance M Mᵀ 3-11 (row-major), then
 REACH, EXTENT, LOG_OPACITY, RED, GREEN, BLUE = 12, 13, 14, 15, 16, 17
 DEAD = np.float32(-1.0)  # REACH of the padding at the end of the last chunk
+# of a posed cloud (`cpu_posed`): centre 0-2, then turn and normal; and what no pose changes
+POSED_FIELDS, POSED_TURN, POSED_NORMAL, STILL_FIELDS = 10, 3, 7, 9
+
+
+def read_only(array: F32) -> F32:
+    """A read-only view: clouds from files may be so already, and kernels compile once for both."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+NO_SH = read_only(np.zeros((1, 1, 3), np.float32))
+NO_STILL = read_only(np.empty((0, STILL_FIELDS * CHUNK), np.float32))
+NO_FLOOR = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +45,15 @@ class PackedCloud:
     """A cloud ready to project.
 
     Attributes:
-        pack: [C, FIELDS * CHUNK] float32: field f of lane k is at f * CHUNK + k.
+        pack: [C, FIELDS * CHUNK] float32: field f of lane k is at f * CHUNK + k; of a posed cloud
+            [C, POSED_FIELDS * CHUNK], the rest being in `still`.
         boxes: [C, 7] float32: lowest and highest centre of a chunk, and its largest reach [m].
         order: [C * CHUNK] int32, a packed splat's index in its cloud.
         sh: [N, K, 3] the cloud's own coefficients, read by cloud index; empty for degree 0.
         degree: SH degree.
         ordered: whether packed order is cloud order, so that ties need no care.
+        still, floor, floor_at: of a posed cloud; see `cpu_posed.RestPacked`, log opacities of the
+            splats on the floor, and the lane of the first of them.
     """
 
     pack: F32
@@ -45,6 +62,9 @@ class PackedCloud:
     sh: F32
     degree: int
     ordered: bool
+    still: F32 = field(default_factory=lambda: NO_STILL)
+    floor: F32 = field(default_factory=lambda: NO_FLOOR)
+    floor_at: int = 0
 
     @property
     def chunks(self) -> int:
@@ -91,15 +111,8 @@ def pack_cloud(
     )
     degree = cloud.sh_degree
     if not degree:
-        sh = read_only(np.zeros((1, 1, 3), np.float32))  # the colours are packed: let go of it
+        sh = NO_SH  # the colours are packed: let go of it
     return PackedCloud(pack, boxes, packed, sh, degree, ordered)
-
-
-def read_only(array: F32) -> F32:
-    """A read-only view: clouds from files may be so already, and kernels compile once for both."""
-    view = array.view()
-    view.setflags(write=False)
-    return view
 
 
 def _check_cloud(cloud: GaussianCloud) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+from weakref import WeakValueDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud, read_only
-from gn0.render.instance import Instance, check_named, find_normals
+from gn0.render.cpu_posed import PosedPacked
+from gn0.render.instance import Instance, check_name, check_named, find_normals
 from gn0.render.labels import U32, encode_labels
 
 NO_GAIN = read_only(np.empty((0, 3), np.float32))  # colours stay as they are
@@ -30,7 +31,7 @@ class PlacedPart(NamedTuple):
         pose: part-to-world [4, 4] m.
         gain: [0, 3] none, [1, 3] constant, or [4, 3] with the linear terms in the part's frame.
         normals: [C, 3 * CHUNK] packed as the cloud is, in the part's frame; read for a gain of
-            [4, 3] alone.
+            [4, 3] alone. A posed cloud has its own.
         codes: what its splats belong to, by cloud index [N]; see `gn0.render.labels`.
         nearer: see `Instance`.
     """
@@ -48,9 +49,8 @@ class PlacedPart(NamedTuple):
 class _NamedCloud:
     cloud: PackedCloud
     normals: F32
-    size: int
     codes: U32
-    source: weakref.ref[GaussianCloud]
+    source: ref[GaussianCloud]
 
 
 def _are_equal(held: GaussianCloud | None, cloud: GaussianCloud) -> bool:
@@ -66,18 +66,29 @@ def _are_equal(held: GaussianCloud | None, cloud: GaussianCloud) -> bool:
 
 class _Order(NamedTuple):
     order: NDArray[np.int64]
-    scales: weakref.ref[F32]
+    scales: ref[F32]
 
 
 class NamedClouds:
-    """Packed clouds by name."""
+    """Packed clouds by name; posed ones belong to whoever posed them, and go with them."""
 
     def __init__(self) -> None:
         self._held: dict[str, _NamedCloud] = {}
+        self._posed: WeakValueDictionary[str, PosedPacked] = WeakValueDictionary()
         self._orders: dict[int, _Order] = {}
 
     def __contains__(self, name: object) -> bool:
-        return name in self._held
+        return name in self._held or name in self._posed
+
+    def hold_packed(self, name: str, posed: PosedPacked) -> None:
+        """Know a posed cloud under a name, as long as somebody holds it.
+
+        Raises:
+            RenderError: no name.
+        """
+        check_name(name)
+        self._held.pop(name, None)
+        self._posed[name] = posed
 
     def hold(self, name: str, cloud: GaussianCloud) -> None:
         """Pack a cloud under a name, unless the very same is held there already.
@@ -95,10 +106,10 @@ class NamedClouds:
         self._held[name] = _NamedCloud(
             packed,
             read_only(normals),
-            len(cloud),
             encode_labels(cloud.label, cloud.categories, len(cloud)),
-            weakref.ref(cloud),
+            ref(cloud),
         )
+        self._posed.pop(name, None)
 
     def _find_order(self, cloud: GaussianCloud) -> NDArray[np.int64]:
         """Neighbours together [N]: as in the first pose of clouds that share their scales.
@@ -115,24 +126,26 @@ class NamedClouds:
         }
         order = morton_order(cloud.means)
         if isinstance(scales, np.ndarray):
-            self._orders[id(scales)] = _Order(order, weakref.ref(scales))
+            self._orders[id(scales)] = _Order(order, ref(scales))
         return order
 
     def place(self, instances: Sequence[Instance], first: int) -> list[PlacedPart]:
         """What to draw for checked instances; indices run on from `first`, in their order."""
         placed = []
         for instance in instances:
-            held = self._held[instance.cloud]
+            posed = self._posed.get(instance.cloud)
             gain = instance.part_gain
             if gain is None:
                 gain = NO_GAIN
             elif not gain[1:].any():
                 gain = gain[:1]
+            if posed is not None:
+                cloud, normals, codes = posed.cloud, NO_NORMALS, posed.rest.codes
+            else:
+                held = self._held[instance.cloud]
+                cloud, normals, codes = held.cloud, held.normals, held.codes
             placed.append(
-                PlacedPart(
-                    *(held.cloud, first, instance.pose, gain, held.normals, held.codes),
-                    instance.nearer,
-                )
+                PlacedPart(cloud, first, instance.pose, gain, normals, codes, instance.nearer)
             )
-            first += held.size
+            first += len(codes)
         return placed

@@ -18,11 +18,14 @@ from gn0.render.cpu_pack import (
     BLUE,
     CHUNK,
     EXTENT,
+    FIELDS,
     GREEN,
     LOG_OPACITY,
+    POSED_NORMAL,
     REACH,
     RED,
 )
+from gn0.render.cpu_posed import unfold_chunk
 from gn0.render.cpu_sh import sh_colour
 from gn0.render.renderer import ALPHA_MIN, DILATION, EXTENT_MAX
 
@@ -98,7 +101,7 @@ def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
 @njit(error_model="numpy")
 def _project_block(  # type: ignore[no-untyped-def]
     begin, end, pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0,
-    tiles_x, records, rects, keys, indices, counts, tiles, gain, normals,
+    tiles_x, records, rects, keys, indices, counts, tiles, gain, normals, still, floor, floor_at,
 ):  # fmt: skip
     """Project chunks begin to end of `chunks`; see `project_chunks`."""
     r00, r01, r02 = view[0], view[1], view[2]
@@ -118,8 +121,14 @@ def _project_block(  # type: ignore[no-untyped-def]
     tiles[:] = 0
     lanes = np.empty(_LANES * CHUNK, np.float32)
     ok = np.empty(CHUNK, np.int32)
+    posed = still.shape[0] > 0
+    unfolded = np.empty(FIELDS * CHUNK if posed else 0, np.float32)
     for v in range(begin, end):
-        p = pack[chunks[v]]
+        own = pack[chunks[v]]
+        p = own
+        if posed:
+            unfold_chunk(own, still[chunks[v]], floor, floor_at - chunks[v] * CHUNK, unfolded)
+            p = unfolded
         for k in range(CHUNK):
             x, y, z = p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
             X = r00 * x + r01 * y + r02 * z
@@ -214,7 +223,11 @@ def _project_block(  # type: ignore[no-untyped-def]
                 )
             if lit:
                 n0, n1, n2 = _ZERO, _ZERO, _ZERO
-                if turned:
+                if turned and posed:
+                    n0 = own[POSED_NORMAL * CHUNK + k]
+                    n1 = own[(POSED_NORMAL + 1) * CHUNK + k]
+                    n2 = own[(POSED_NORMAL + 2) * CHUNK + k]
+                elif turned:
                     at = normals[chunks[v]]
                     n0, n1, n2 = at[k], at[CHUNK + k], at[2 * CHUNK + k]
                 o[CR] *= max(gr + grx * n0 + gry * n1 + grz * n2, _ZERO)
@@ -235,7 +248,7 @@ def _project_block(  # type: ignore[no-untyped-def]
 @njit(parallel=True)
 def project_chunks(  # type: ignore[no-untyped-def]
     pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, tiles_x, records,
-    rects, keys, indices, counts, histogram, gain, normals,
+    rects, keys, indices, counts, histogram, gain, normals, still, floor, floor_at,
 ):  # fmt: skip
     """Project the splats of `chunks`; chunk v fills rows from `row0 + v * CHUNK`.
 
@@ -243,7 +256,8 @@ def project_chunks(  # type: ignore[no-untyped-def]
     `keys` [rows] (bits of the depth that they are sorted by), `indices` [rows] (index in the
     cloud, plus `first_index`), `counts[v]`, the rows filled, and `histogram` [blocks, tiles],
     entries of block b's chunks.
-    Colours are multiplied by `gain` (see `cpu_parts.PlacedPart`) at the splat's normal.
+    Colours are multiplied by `gain` (see `cpu_parts.PlacedPart`) at the splat's normal. Chunks of a
+    posed cloud, which has `still` rows, are unfolded first.
     """
     blocks = histogram.shape[0]
     for block in prange(blocks):
@@ -251,4 +265,5 @@ def project_chunks(  # type: ignore[no-untyped-def]
         _project_block(
             begin, end, pack, order, first_index, sh, degree, chunks, view, ortho, antialiased,
             row0, tiles_x, records, rects, keys, indices, counts, histogram[block], gain, normals,
+            still, floor, floor_at,
         )  # fmt: skip

@@ -6,10 +6,11 @@ scenes, their keys and their visible sets are kept here.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import ChainMap, OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from gn0.errors import ConfigError, RenderError
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.instance import Instance, Parts, check_named, check_parts, move_instance
+from gn0.render.instance import Instance, Parts, check_name, check_named, check_parts, move_instance
 from gn0.render.labels import refuse_labels
 from gn0.render.renderer import (
     ALL_OUTPUTS,
@@ -38,6 +39,9 @@ from gn0.render.renderer import (
     check_views,
 )
 from gn0.render.who import WhoPictures
+
+if TYPE_CHECKING:
+    from gn0.render.cpu_posed import PosedPacked
 
 KEPT = 4  # scenes that are loaded at a time
 Build = Callable[[GaussianCloud, RenderOptions], SceneRenderer]
@@ -63,6 +67,7 @@ class RendererHost:
         limit: makes of such a renderer one that draws from visible sets; None: it has none.
         takes_parts: whether such a renderer draws instances; else their splats are moved for it.
         labels: whether such a renderer draws "semantic" and "instance".
+        takes_packed: whether it draws instances of posed clouds as `name_packed` takes them.
     """
 
     def __init__(
@@ -74,8 +79,9 @@ class RendererHost:
         *,
         takes_parts: bool = False,
         labels: bool = False,
+        takes_packed: bool = False,
     ) -> None:
-        self.name = name
+        self.name, self.takes_packed = name, takes_packed
         self.options = options or RenderOptions()
         self.traits = Traits(
             name, self.options.antialiased, visible_sets=limit is not None, labels=labels
@@ -87,6 +93,7 @@ class RendererHost:
         self._visible: dict[str, Any] = {}
         self._takes_parts = takes_parts
         self._parts: dict[str, GaussianCloud] = {}  # clouds by name
+        self._packed: WeakValueDictionary[str, PosedPacked] = WeakValueDictionary()
 
     def add(self, key: str, load: Load, digest: str = "") -> None:
         """Name a scene; see `Renderer.add`."""
@@ -128,7 +135,18 @@ class RendererHost:
         """
         if self._parts.get(name) is not cloud:
             check_named(name, cloud)
+            self._packed.pop(name, None)
             self._parts[name] = cloud
+
+    def name_packed(self, name: str, posed: PosedPacked) -> None:
+        """Make a posed cloud known by a name, as long as somebody holds it.
+
+        Raises:
+            RenderError: no name.
+        """
+        check_name(name)
+        self._parts.pop(name, None)
+        self._packed[name] = posed
 
     def holds(self, key: str) -> bool:
         """Whether a scene is loaded; any thread may ask."""
@@ -196,7 +214,7 @@ class RendererHost:
             if len(names) != len(views):
                 raise RenderError(f"{len(names)} keys for {len(views)} views", where="keys")
             runs = [(names[rows.start], views[rows], rows) for rows in _find_runs(names)]
-        moving = check_parts(parts, len(views), self._parts) if parts else []
+        moving = self._check_parts(parts, len(views)) if parts else []
         named: dict[str, Any] = {"extra": extra, "outputs": outputs, "background": background}
         found = []
         for key, some, rows in runs:
@@ -234,7 +252,7 @@ class RendererHost:
         names = [keys] * len(views) if isinstance(keys, str) else list(keys)
         if len(names) != len(views):
             raise RenderError(f"{len(names)} keys for {len(views)} views", where="keys")
-        moving = check_parts(parts, len(views), self._parts)
+        moving = self._check_parts(parts, len(views))
         numbers = np.zeros((len(views), camera.height, camera.width), np.uint32)
         seen = []
         for rows in _find_runs(names):
@@ -252,7 +270,15 @@ class RendererHost:
     def _tell(self, renderer: Any, moving: Sequence[Sequence[Instance]]) -> None:
         """Make the clouds of some instances known to a renderer of one scene."""
         for name in dict.fromkeys(one.cloud for instances in moving for one in instances):
-            renderer.name_cloud(name, self._parts[name])
+            posed = self._packed.get(name)
+            if posed is not None:
+                renderer.name_packed(name, posed)
+            else:
+                renderer.name_cloud(name, self._parts[name])
+
+    def _check_parts(self, parts: Parts, views: int) -> list[tuple[Instance, ...]]:
+        known: ChainMap[str, Any] = ChainMap(self._parts, self._packed)
+        return check_parts(parts, views, known)
 
     def _move(
         self, extra: GaussianCloud | None, instances: Sequence[Instance]

@@ -199,14 +199,23 @@ def _no_parts(value: object, where: str = "parts") -> RenderError:
     )
 
 
+def check_name(name: object) -> None:
+    """Refuse what cannot be the name of a cloud.
+
+    Raises:
+        RenderError: it is no word, or an empty one.
+    """
+    if not isinstance(name, str) or not name:
+        raise RenderError(f"{brief(name)} is not the name of a cloud", where="name_cloud")
+
+
 def check_named(name: str, cloud: GaussianCloud) -> None:
     """Whether a renderer may take a cloud under a name.
 
     Raises:
         RenderError: no name, or a cloud of too many splats or with normals that are not finite.
     """
-    if not isinstance(name, str) or not name:
-        raise RenderError(f"{brief(name)} is not the name of a cloud", where="name_cloud")
+    check_name(name)
     where = f"cloud {brief(name)}"
     if len(cloud) > PART_SPLATS_MAX:
         raise RenderError(

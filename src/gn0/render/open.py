@@ -93,7 +93,12 @@ def open_renderer(
         from gn0.render.visible import RendererVisible
 
         build = partial(RendererCpu, named=NamedClouds())  # packed once for all scenes
-        return RendererHost(name, build, options, RendererVisible, takes_parts=True, labels=True)
+        return RendererHost(
+            *(name, build, options, RendererVisible),
+            takes_parts=True,
+            labels=True,
+            takes_packed=True,
+        )
     return RendererHost(name, get_plugin("renderer", name), options)
 
 

@@ -380,6 +380,11 @@ class DrawnScene:
         """Make a cloud known by a name; see `Renderer.name_cloud`."""
         self.renderer.name_cloud(name, cloud)
 
+    def name_packed(self, name: str, posed: Any) -> None:
+        """Make a posed cloud known by a name, where the renderer takes `cpu_posed.PosedPacked`."""
+        taker: Any = self.renderer
+        taker.name_packed(name, posed)
+
     def render(
         self,
         camera: Camera,

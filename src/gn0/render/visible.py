@@ -27,6 +27,7 @@ from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
+from gn0.render.cpu_posed import PosedPacked
 from gn0.render.instance import Parts
 from gn0.render.renderer import OUTPUTS, VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
@@ -110,6 +111,10 @@ class RendererVisible:
             RenderError: see `RendererCpu.name_cloud`.
         """
         self.full.name_cloud(name, cloud)
+
+    def name_packed(self, name: str, posed: PosedPacked) -> None:
+        """Make a posed cloud known by a name; see `RendererCpu.name_packed`."""
+        self.full.name_packed(name, posed)
 
     def render_who(
         self, camera: Camera, views: NDArray[np.floating], *, parts: Parts

@@ -22,7 +22,6 @@ from gn0.viewer.viewpoints import EYE, PITCH
 
 if TYPE_CHECKING:
     from gn0.render.instance import Instance
-    from gn0.render.renderer import Renderer
     from gn0.scenes.scene import Scene
 
 AWAY = (2.6, 3.3, 4.0, 2.1, 5.0)  # m from the eye, the best first
@@ -45,8 +44,7 @@ class _Seen:
 
 
 def show_bystanders(
-    scene: Scene,
-    renderer: Renderer,
+    eyes: PeopleEyes,
     poses: Sequence[Pose2D],
     focal: float,
     *,
@@ -56,21 +54,20 @@ def show_bystanders(
     """Instances for each view: somebody who walks there, in the first ones that have room.
 
     Args:
-        scene: the scene.
-        renderer: of its splats; it is told the people's clouds.
-        poses: eyes of the views.
+        eyes: of the scene; its renderer knows the people as long as they are there.
+        poses: where the views are from.
         focal: of the pictures [px].
         most: in how many views somebody walks at most.
         seed: who they are.
     """
-    eyes = PeopleEyes(scene, DrawnScene(renderer))
+    scene = eyes.scene
     walls = build_walls([scene.grid])
     shown: list[tuple[Instance, ...]] = [()] * len(poses)
     walkers = 0
     for number, pose in enumerate(poses):
         if walkers == most:
             break
-        person = _walker(scene, renderer, pose, f"drawn:{seed}:{walkers}")
+        person = _walker(scene, eyes.renderer, pose, f"drawn:{seed}:{walkers}")
         if person is None:
             continue
         walkers += 1
@@ -84,7 +81,7 @@ def show_bystanders(
     return shown
 
 
-def _walker(scene: Scene, renderer: Renderer, eye: Pose2D, identity: str) -> EpisodePerson | None:
+def _walker(scene: Scene, renderer: DrawnScene, eye: Pose2D, identity: str) -> EpisodePerson | None:
     """Somebody who walks across a view, at best towards the eye, or nobody."""
     camera = Camera.from_hfov(*THUMB)
     view = view_from_pose(eye.x, eye.y, EYE, eye.yaw, PITCH)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 
 import msgspec
@@ -15,7 +16,7 @@ from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import AgentSpec, Episode, MissionGoal
 from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson, PersonStop
-from gn0.people.shown import Shown, show_person
+from gn0.people.shown import Shown, pose_shown, show_person
 from gn0.render import Camera
 from gn0.render.cuda import who as render_who
 from gn0.render.cuda.batch import RendererBatch
@@ -77,6 +78,18 @@ def open_device_env(episodes, bank, preset, count=3, sensors=("rgb", "depth"), *
     )  # fmt: skip
 
 
+def in_view(cloud, pose, stands) -> bool:
+    """Whether the camera of an agent that stands at (x, y, yaw) may see any of a posed person."""
+    preset = find_preset("small")
+    x, y, yaw = stands
+    pitch, eye = math.radians(preset.pitch_degrees), BODY.camera_height
+    at = cloud.means @ pose[:3, :3].T + pose[:3, 3] - (x, y, eye)
+    ahead = at @ (np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch))
+    side = abs(at @ (-np.sin(yaw), np.cos(yaw), 0.0))
+    wide, far = (EYE.width / 2 + 4.0) / EYE.fx, 3.0 * cloud.scales.max(axis=1)
+    return bool(((ahead > -far) & (side <= wide * np.maximum(ahead, 0.0) + far)).any())
+
+
 def check_shown(env, cast, episodes, infos) -> list[Shown]:
     """Codes and poses are those of the host; how each is shown who is seen."""
     eyes, count, there = env._eyes.people, len(episodes), []
@@ -89,16 +102,11 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
         assert not codes[i, len(episode.people) :].any()
         for p, person in enumerate(episode.people):
             away = real[i, p, :2] - (x, y)
-            before = away @ (np.cos(yaw), np.sin(yaw))
-            beside = abs(away @ (-np.sin(yaw), np.cos(yaw)))
-            wide = (EYE.width / 2 + 4.0) / EYE.fx
-            seen = before >= -1.0
-            seen &= beside <= wide * max(before, 0.0) + 1.2 * np.hypot(1.0, wide)
-            assert bool(codes[i, p]) == seen
-            if not seen:
-                continue
             actor = cast.find(person.identity)
             want, pose = show_person(person, actor, real[i, p], whole[i, p], (x, y))
+            if not codes[i, p]:
+                assert not in_view(pose_shown(actor, want, 0), pose, (x, y, yaw))
+                continue
             found = eyes.read_code(int(codes[i, p]))
             assert found.shown == want
             assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
@@ -128,6 +136,29 @@ def test_codes_say_what_the_host_shows(episodes, bank, preset, monkeypatch) -> N
         infos = env.step(row)[4]
         clips |= {shown.clip for shown in check_shown(env, cast, episodes, infos)}
     assert {"walk", "wave", "sit", "hold"} < clips
+
+
+def test_nobody_behind_an_agent_is_posed(bank, preset, monkeypatch) -> None:
+    """Of who stands 1 to 2 m away, all round: left out only where no picture may show him."""
+    (name, *_) = sorted(bank.names)
+    goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
+    episodes = []
+    for k in range(24):
+        at = (1.45 + (1.0, 1.6, 2.0)[k % 3], 1.65)
+        person = EpisodePerson(number=1, identity=name, path=(at,), behaviour="stand", seed=k)
+        episodes.append(
+            Episode(
+                id=f"round-{k}", scene_id=FLAT.id, mission=goal,
+                start=(1.45, 1.65, math.tau * k / 24), path=((1.45, 1.65), goal.goal),
+                people=(person,),
+            )
+        )  # fmt: skip
+    level = msgspec.structs.replace(find_preset(preset), pitch_degrees=0.0)
+    monkeypatch.setitem(presets._BY_NAME, preset, level)
+    env, cast = open_device_env(episodes, bank, preset, count=24), Cast(bank)
+    _, infos = env.reset(seed=0, options={"episode": [e.id for e in episodes]})
+    there = check_shown(env, cast, episodes, infos)
+    assert 8 <= len(there) <= 20, "those before it, and few of the others"
 
 
 def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -> None:

@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
@@ -21,6 +22,7 @@ from gn0.avatars.detail import GRAIN, SHARES, build_levels
 from gn0.avatars.held import BOX_SPACING, HELD, hold_thing
 from gn0.avatars.motion.legs import measure_build
 from gn0.avatars.motion.library import ClipLibrary
+from gn0.avatars.motion.standing import IDLES, SEAT
 from gn0.avatars.person import build_person
 from gn0.avatars.posture import Posture
 from gn0.avatars.skeleton import INDEX
@@ -53,6 +55,7 @@ class Actor:
     _libraries: dict[float, ClipLibrary] = field(default_factory=dict)
     _seats: dict[float, float] = field(default_factory=dict)
     _holding: dict[tuple[str, int], Avatar] = field(default_factory=dict)
+    _reach: tuple[float, float] | None = None
     _postures: OrderedDict[Hashable, Posture] = field(default_factory=OrderedDict)
 
     def level(self, number: int, clip: str = "") -> Avatar:
@@ -89,6 +92,22 @@ class Actor:
             build = measure_build(best.joints, best.points, best.weights)
             self._libraries[seat] = ClipLibrary(build, int(self.digest[:8], 16), seat)
         return self._libraries[seat]
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """How far from its place anything of who stands idle is seen [m], in the first frame.
+
+        As it is from near, and at its coarsest.
+        """
+        if self._reach is None:
+            posture = self.levels[0].place_joints(*self.library(SEAT).pose_at(IDLES[0], 0.0))
+            clouds = (level.pose_as(posture) for level in (self.levels[0], self.levels[-1]))
+            near, far = (
+                float((np.hypot(*one.means[:, :2].T) + 3.0 * one.scales.max(axis=1)).max())
+                for one in clouds
+            )
+            self._reach = near, far
+        return self._reach
 
     def behind(self, seat: float) -> float:
         """How far behind its feet the pelvis of who sits is [m]."""

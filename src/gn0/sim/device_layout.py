@@ -96,7 +96,9 @@ CROWD = np.dtype(
 # what a person brings to its looks; see `shown.cu`
 ROLE = np.dtype(
     [
-        *((name, np.float64) for name in ("stride", "forward", "lasts")),
+        *((name, np.float64) for name in (
+            "stride", "forward", "lasts", "still", "reach", "coarser",
+        )),
         *((name, np.int32) for name in (
             "number", "offset", "gait", "idle", "idle_rows", "clip", "clip_rows", "clip_loops",
             "clip_rowed", "unused",

@@ -46,7 +46,9 @@ _NONE = 63  # no clip
 _BITS = (16, 2, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
 _LEVEL = (1 << _BITS[1]) - 1 << _BITS[0]
 _BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
-_ASIDE, _HIGH = 1.2, 1.5  # m: what of a person may be beside it, and above or below an eye
+# m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
+_SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
+_HIGH = 1.5  # m above or below an eye that a person may be
 _OFFSETS = 97  # by how many ticks people's clips are apart
 
 
@@ -88,14 +90,13 @@ class PeopleEyesDevice:
         self.posed = PosedBankDevice(renderer)
         self._roles: dict[tuple[str, float], int] = {}
         self._clips = {clip: number for number, clip in enumerate(_BY_NUMBER)}
+        self._whom: list[tuple[str, float]] = []  # roles and clips by number, as far as asked for
+        self._names: list[str] = []
         self._from = [0.0] + [
             GRAIN[level] * focal / REACH_PX[level] for level in range(1, len(GRAIN))
         ]
         # depths before a camera that looks up or down grow with the height of what it sees
-        self._sides = (
-            widest,
-            _ASIDE * math.hypot(1.0, widest) + _HIGH * widest * abs(math.sin(pitch)),
-        )
+        self._sides = widest, _HIGH * math.tan(abs(pitch))
         self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
         self._shown: tuple[DeviceArray, ...] | None = None
 
@@ -138,8 +139,11 @@ class PeopleEyesDevice:
         row["offset"], row["gait"] = seed % _OFFSETS, speed_class(person.speed)
         idle = IDLES[seed % len(IDLES)]
         row["idle"], row["idle_rows"] = self._number(idle), len(library.clip(idle).plan)
+        reach, coarse = actor.reach
+        row["still"], row["coarser"] = reach + _SWAYS, max(coarse - reach, 0.0)
         if person.behaviour == "script":
             row["stride"] = library.clip("walk", person.speed).stride
+            row["reach"] = reach + _STRIDES
             return
         sits = person.behaviour == "sit"
         name = person.clip or ("sit" if sits else idle)
@@ -147,8 +151,10 @@ class PeopleEyesDevice:
         assert clip.fps == FPS and not clip.stride
         row["clip"], row["clip_rows"] = self._number(name), len(clip.plan)
         row["clip_loops"], row["clip_rowed"] = name in LOOPS, name not in GESTURES
+        row["reach"] = reach + _STRETCHES
         if sits:
             row["forward"] = actor.behind(person.seat)
+            row["reach"] += abs(row["forward"])
         elif name not in IDLES:
             row["lasts"] = clip.seconds
 
@@ -182,7 +188,7 @@ class PeopleEyesDevice:
             levels=np.int32(len(self._from)),
             turns=turned,
             across=np.float64(self._sides[0]),
-            beside=np.float64(self._sides[1]),
+            deeper=np.float64(self._sides[1]),
             codes=codes,
             poses=poses,
             gains=gains,
@@ -198,8 +204,9 @@ class PeopleEyesDevice:
             values.append(left & ((1 << bits) - 1))
             left >>= bits
         role, level, clip, frame, gait, look, other, other_frame, quarter, early, stood = values
-        identity, seat = list(self._roles)[role]
-        names = list(self._clips)
+        if role >= len(self._whom) or len(self._names) < len(self._clips):
+            self._whom, self._names = list(self._roles), list(self._clips)
+        (identity, seat), names = self._whom[role], self._names
         before = "" if other == _NONE else names[other]
         shown = Shown(
             names[clip], frame, before, other_frame, quarter or 4, gait, look, seat, early,

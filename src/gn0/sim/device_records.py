@@ -142,7 +142,7 @@ class ShowPeople(NamedTuple):
     levels: np.int32
     turns: DeviceArray
     across: np.float64
-    beside: np.float64
+    deeper: np.float64
     codes: DeviceArray
     poses: DeviceArray
     gains: DeviceArray

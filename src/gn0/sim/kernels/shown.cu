@@ -7,6 +7,9 @@ struct Role {
   double stride;   // m, of its walk
   double forward;  // m, of who sits
   double lasts;    // s, of its gesture; 0 without
+  double still;    // m, how far from its place it is seen while it idles or turns
+  double reach;    // m, in all other clips
+  double coarser;  // m, how much farther at the coarser levels of detail
   int number;      // of who it is
   int offset;      // ticks by which its time is ahead
   int gait;        // class of the walk
@@ -32,7 +35,6 @@ static_assert(sizeof(Role) == ROLE_BYTES, "device_layout.ROLE differs from Role"
 #define STOOD_MOST 15
 #define NEAR_EYE 2.5
 #define SIDE_EYE 1.3
-#define BEHIND 1.0
 #define PIVOT 0.7853981633974483  // rad, 45 degrees
 #define PIVOT_ROWS 60
 #define SETTLE_ROWS 8
@@ -124,7 +126,7 @@ __device__ void find_gain(const Episode &e, double x, double y, float *gain) {
 // `from` [levels] are the distances [m] from which each level of detail is taken, `turns`
 // [PIVOT_ROWS + 1, 2] cosine and sine of the angle turned in each row of a pivot.
 KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const double *turns,
-                    double across, double beside, u64 *codes, double *poses, float *gains) {
+                    double across, double deeper, u64 *codes, double *poses, float *gains) {
   i64 k = (i64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k >= (i64)w.count * c.places) return;
   int i = (int)(k / c.places), p = (int)(k % c.places);
@@ -135,9 +137,6 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   const double *ahead = e.headings + w.turns[i] * 3;
   double2 eye = w.position[i];
   double dx = eye.x - q.x, dy = eye.y - q.y, square = dx * dx + dy * dy;
-  double before = -dx * ahead[1] - dy * ahead[2], side = dx * ahead[2] - dy * ahead[1];
-  if (before < -BEHIND) return;
-  if (fabs(side) > across * fmax(before, 0.0) + beside) return;  // no picture is so wide
   const Role &role = ((const Role *)e.roles)[p];
   Route r = route_of(e, p);
   int clip = CLIP_NONE, frame = 0, other = CLIP_NONE, other_frame = 0, quarter = BLEND;
@@ -202,6 +201,21 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
       at_y = q.y0;
     }
   }
+  double away = sqrt(square);
+  int level = 0;
+  for (int n = 1; n < levels; n++)
+    if (away >= from[n]) level = n;
+  // how far outside of the wedge that the widest picture shows, whose tip is `deeper` behind the eye
+  bool steps = clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2;
+  bool rests = other == CLIP_NONE && (steps || clip == role.idle);
+  double far = (rests ? role.still : role.reach) + (level ? role.coarser : 0.0);
+  double side = fabs(dx * ahead[2] - dy * ahead[1]);
+  double before = -dx * ahead[1] - dy * ahead[2] + deeper, out = side - across * before;
+  if (side * across + before < 0.0) {
+    if (side * side + before * before > far * far) return;
+  } else if (out > 0.0 && out * out > far * far * (1.0 + across * across)) {
+    return;
+  }
   int look = STRAIGHT;
   double yaw = atan2(q.hx * dy - q.hy * dx, q.hx * dx + q.hy * dy);
   if (square < NEAR_EYE * NEAR_EYE && fabs(yaw) < SIDE_EYE) look = look_class(yaw);
@@ -217,10 +231,6 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     ax = clip == CLIP_WALK ? hx : q.fx;
     ay = clip == CLIP_WALK ? hy : q.fy;
   }
-  double away = sqrt(square);
-  int level = 0;
-  for (int n = 1; n < levels; n++)
-    if (away >= from[n]) level = n;
   u64 code = (u64)role.number;
   code |= (u64)level << 16;
   code |= (u64)clip << 18;

@@ -283,6 +283,12 @@ def test_memory_of_clouds_is_free_again_when_nobody_holds_it() -> None:
     gone = held.pop(1).pointer
     assert places.take([5100])[0].pointer == gone
     held.clear()
+    kept = device.used
+    assert before + 4 * SLAB >= kept > before, "kept for who comes next"
+    again = places.take([5000, 3 * SLAB])
+    assert device.used == kept
+    again.clear()
+    places.let_go()
     assert device.used == before
 
 

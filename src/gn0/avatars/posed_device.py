@@ -17,14 +17,15 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.avatars.avatar import SHADOWS, TO_WORLD, Avatar, shadow_places
+from gn0.avatars.avatar import SHADOWS, Avatar, shadow_places
 from gn0.avatars.body import check_pose
 from gn0.avatars.kept_rows import KeptRows
 from gn0.avatars.posed_bank import BUDGET
-from gn0.avatars.skinning import compose_joints, rotations_of
+from gn0.avatars.posture import Posture, place_all
+from gn0.avatars.skeleton import JOINT_COUNT
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError
-from gn0.geometry import F64, quaternion_from_rotation
+from gn0.geometry import F64
 from gn0.render.cuda.posed import (
     Posing,
     ReadyPoses,
@@ -32,7 +33,7 @@ from gn0.render.cuda.posed import (
     RestDevice,
     SlotFinder,
     posed_bytes,
-    ready_poses,
+    ready_all,
     row_width,
 )
 
@@ -127,16 +128,24 @@ def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Po
     """
     if not wanted:
         return []
-    joints = np.stack([avatar.joints for avatar, *_ in wanted], axis=1)
-    local = rotations_of(np.stack([check_pose(pose) for _, _, pose, _ in wanted], axis=1))
-    transforms, placed = compose_joints(joints, local, np.stack([shift for *_, shift in wanted]))
-    world = np.einsum("ab,jnbc->njac", TO_WORLD, transforms)
-    turns = quaternion_from_rotation(world[..., :3]).reshape(len(wanted), -1, 4)
-    floors = shadow_places(np.swapaxes(placed, 0, 1))
+    placed = _place_all([(avatar, pose, shift) for avatar, _, pose, shift in wanted])
+    floors = shadow_places(placed.joints)
     return [
         Posing(rest, *what)
-        for (_, rest, _, _), *what in zip(wanted, world, turns, floors, strict=True)
+        for (_, rest, _, _), *what in zip(
+            wanted, placed.transforms, placed.turns, floors, strict=True
+        )
     ]
+
+
+def _place_all(wanted: Sequence[tuple[Avatar, F64, F64]]) -> Posture:
+    """Joints of avatars, by pose and shift of each."""
+    joints, poses, shifts = zip(*wanted, strict=True)
+    return place_all(
+        np.stack([avatar.joints for avatar in joints]),
+        np.stack([pose if pose.shape == (JOINT_COUNT, 3) else check_pose(pose) for pose in poses]),
+        np.stack(shifts),
+    )
 
 
 @dataclass(eq=False)
@@ -333,13 +342,12 @@ class PosedBankDevice:
         if poses:
             wanted = list(poses.values())
             turns = _turn_all(wanted)
-            ready = ready_poses(
-                posings_of(
-                    [
-                        (one.avatar, rests[n], *turn)
-                        for (n, one), turn in zip(poses.items(), turns, strict=True)
-                    ]
-                )
+            placed = _place_all(
+                [(one.avatar, *turn) for one, turn in zip(wanted, turns, strict=True)]
+            )
+            ready = ready_all(
+                [rests[n] for n in poses],
+                *(placed.transforms, placed.turns, shadow_places(placed.joints)),
             )
             rows[new], frames["box"][new], frames["step"][new] = ready
             self._postures.keep([postures[n] for n in poses], ready.rows)

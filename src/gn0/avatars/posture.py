@@ -16,7 +16,7 @@ from gn0.avatars.body import check_pose
 from gn0.avatars.skeleton import JOINT_COUNT, PARENTS
 from gn0.errors import DataError
 from gn0.geometry import F64
-from gn0.jit import njit
+from gn0.jit import njit, prange
 
 _PARENTS = np.array(PARENTS, np.int64)
 _SMALL = 1e-6  # rad
@@ -61,6 +61,37 @@ def place_joints(
         np.ascontiguousarray(found[:, 12:16]),
         found[:, 16:],
     )
+
+
+def place_all(rests: F64, poses: F64, shifts: F64) -> Posture:
+    """The joints of many bodies in a pose each, to the bit those of `place_joints`.
+
+    Args:
+        rests: their joints at rest [P, 55, 3] m.
+        poses: angles [P, 55, 3] rad, checked.
+        shifts: [P, 3] m.
+
+    Returns:
+        Arrays of `Posture`, those of each body first.
+
+    Raises:
+        DataError: a pose is not finite.
+    """
+    found = np.empty((len(poses), JOINT_COUNT, 19))
+    fine = np.empty(len(poses), np.bool_)
+    given = (np.ascontiguousarray(one, np.float64) for one in (rests, poses, shifts))
+    _place_all(*given, found, fine)
+    if not fine.all():
+        raise DataError("a pose is not finite", where=f"pose {int(np.flatnonzero(~fine)[0])}")
+    count = len(poses)
+    transforms = np.ascontiguousarray(found[..., :12]).reshape(count, JOINT_COUNT, 3, 4)
+    return Posture(transforms, np.ascontiguousarray(found[..., 12:16]), found[..., 16:])
+
+
+@njit(parallel=True)
+def _place_all(rests, poses, shifts, found, fine):  # type: ignore[no-untyped-def]
+    for n in prange(poses.shape[0]):
+        fine[n] = _place(rests[n], poses[n], shifts[n], found[n])
 
 
 @njit

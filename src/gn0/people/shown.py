@@ -24,6 +24,7 @@ from gn0.avatars.motion.library import (
     PIVOTS,
     SETTLES,
     ClipLibrary,
+    blend_many,
     look_class,
     speed_class,
     turn_head,
@@ -247,7 +248,7 @@ class PoseShown:
 
     @staticmethod
     def turn_all(poses: Sequence[PoseShown]) -> list[tuple[F64, F64]]:
-        """The same of many, to the bit; what blends within one library is solved at once."""
+        """The same of many, to the bit; all that blend are solved at once."""
         return turn_all_shown([(one.actor, one.shown) for one in poses])
 
 
@@ -262,9 +263,9 @@ def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
 
 
 def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64]]:
-    """The same of many, to the bit; what blends within one library is solved at once."""
+    """The same of many, to the bit; all that blend are solved at once."""
     found: dict[int, tuple[F64, F64]] = {}
-    blends: dict[ClipLibrary, dict[int, tuple[tuple[_Read, _Read, float], Steps]]] = {}
+    blends: dict[int, tuple[tuple[ClipLibrary, _Read, _Read, float], Steps]] = {}
     for n, (actor, shown) in enumerate(wanted):
         library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
         now = (shown.clip, _at(shown.clip, shown.frame), speed)
@@ -274,13 +275,13 @@ def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64
             # feet of a walk stay behind while its body turns on them
             turned = _turned(shown.clip, shown.frame)
             steps = Steps(shown.early, shown.clip != "walk", 1e-3 * shown.stood, turned)
-            blends.setdefault(library, {})[n] = (before, now, share), steps
+            blends[n] = (library, before, now, share), steps
         else:
             found[n] = library.pose_at(*now)
-    for library, some in blends.items():
-        mixed, stepped = zip(*some.values(), strict=True)
-        poses, shifts = library.blend_all(mixed, steps=stepped)
-        found |= zip(some, zip(poses, shifts, strict=True), strict=True)
+    if blends:
+        mixed, stepped = zip(*blends.values(), strict=True)
+        poses, shifts = blend_many(mixed, steps=stepped)
+        found |= zip(blends, zip(poses, shifts, strict=True), strict=True)
     aside = [n for n, (_, shown) in enumerate(wanted) if shown.look != _STRAIGHT]
     if aside:
         yaws = [math.radians(LOOKS[wanted[n][1].look]) for n in aside]

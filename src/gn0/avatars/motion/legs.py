@@ -68,8 +68,28 @@ class Build:
     @property
     def bones(self) -> tuple[F64, F64]:
         """Thighs and shanks at rest [2, 3] m."""
-        rest = self.joints
-        return rest[KNEES] - rest[HIPS], rest[ANKLES] - rest[KNEES]
+        return _bones(self.joints)
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """What legs are solved with, of another body in each frame of a plan.
+
+    Attributes:
+        joints: at rest [T, 55, 3] m.
+    """
+
+    joints: F64
+
+    @property
+    def bones(self) -> tuple[F64, F64]:
+        """Thighs and shanks at rest [T, 2, 3] m."""
+        return _bones(self.joints)
+
+
+def _bones(rest: F64) -> tuple[F64, F64]:
+    knees = rest[..., KNEES, :]
+    return knees - rest[..., HIPS, :], rest[..., ANKLES, :] - knees
 
 
 def measure_build(
@@ -217,17 +237,19 @@ def lowest_of_feet(build: Build, ankles: F64, feet: F64) -> F64:
     return ankles[..., 1] + placed[..., 1].min(axis=-1)
 
 
-def hips_of(build: Build, plan: Plan) -> F64:
+def hips_of(build: Build | Bodies, plan: Plan) -> F64:
     """Places of the hip joints [T, 2, 3] m."""
-    offsets = build.joints[HIPS] - build.joints[0]
-    return plan.pelvis[:, None] + np.einsum("tab,kb->tka", matrices_of(plan.turn), offsets)
+    offsets = build.joints[..., HIPS, :] - build.joints[..., :1, :]
+    turns = matrices_of(plan.turn)[:, None]
+    x, y, z = (turns[..., k] * offsets[..., k, None] for k in range(3))
+    return plan.pelvis[:, None] + (x + y + z)
 
 
-def highest_pelvis(build: Build, plan: Plan, reach: F64 | float = REACH) -> F64:
+def highest_pelvis(build: Build | Bodies, plan: Plan, reach: F64 | float = REACH) -> F64:
     """How high the pelvis may be [T] m for both legs to reach the ankles, `reach` [T] of them."""
     thigh, shank = build.bones
     length = np.asarray(reach)[..., None] * (
-        np.linalg.norm(thigh, axis=1) + np.linalg.norm(shank, axis=1)
+        np.linalg.norm(thigh, axis=-1) + np.linalg.norm(shank, axis=-1)
     )
     hips = hips_of(build, plan)
     level = np.sum((hips - plan.ankles)[..., [0, 2]] ** 2, axis=-1)
@@ -242,13 +264,13 @@ def _frames(hinge: F64, bone: F64) -> F64:
     return np.stack([across, along, np.cross(across, along)], axis=-1)
 
 
-def solve_plan(build: Build, plan: Plan) -> tuple[F64, F64]:
+def solve_plan(build: Build | Bodies, plan: Plan) -> tuple[F64, F64]:
     """Poses [T, 55, 3] rad and shifts [T, 3] m of a plan.
 
     Knees bend to the front alone; a foot out of reach is reached for with a straight leg.
     """
     thigh, shank = build.bones
-    upper, lower = np.linalg.norm(thigh, axis=1), np.linalg.norm(shank, axis=1)
+    upper, lower = np.linalg.norm(thigh, axis=-1), np.linalg.norm(shank, axis=-1)
     hips = hips_of(build, plan)
     gap = plan.ankles - hips
     away = np.linalg.norm(gap, axis=-1, keepdims=True)
@@ -259,7 +281,7 @@ def solve_plan(build: Build, plan: Plan) -> tuple[F64, F64]:
     front /= np.linalg.norm(front, axis=-1, keepdims=True)
     cosine = np.clip((upper**2 + span**2 - lower**2) / (2.0 * upper * span), -1.0, 1.0)
     sine = np.sqrt(1.0 - cosine**2)
-    knee = upper[:, None] * (cosine[..., None] * u + sine[..., None] * front)
+    knee = upper[..., None] * (cosine[..., None] * u + sine[..., None] * front)
     hinge = np.cross(front, u)
     side = np.broadcast_to([1.0, 0.0, 0.0], (2, 3))
     turned = {0: matrices_of(plan.turn)}
@@ -273,7 +295,7 @@ def solve_plan(build: Build, plan: Plan) -> tuple[F64, F64]:
     quats[:, KNEES] = quats_of_matrices(np.swapaxes(thighs, -1, -2) @ shanks)
     quats[:, ANKLES] = quats_of_matrices(np.swapaxes(shanks, -1, -2) @ feet)
     quats[:, TOES] = about_axis("x", -plan.toes)
-    return vectors_of_quats(quats), plan.pelvis - build.joints[0]
+    return vectors_of_quats(quats), plan.pelvis - build.joints[..., 0, :]
 
 
 def no_turns(frames: int) -> F64:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,14 @@ from gn0.avatars.motion.gait import (
     shape_gait,
 )
 from gn0.avatars.motion.hands import BUSY, plan_busy, plan_carrying
-from gn0.avatars.motion.legs import Build, Plan, join_plans, mix_plans, solve_plan
+from gn0.avatars.motion.legs import (
+    Bodies,
+    Build,
+    Plan,
+    join_plans,
+    mix_plans,
+    solve_plan,
+)
 from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.standing import (
     FPS,
@@ -74,6 +81,7 @@ BLEND_SECONDS = (0.2, 0.4)
 _SIT_SECONDS = 4.0
 
 
+@lru_cache(4096)
 def speed_class(speed: float) -> int:
     """Number of the class of walks nearest to a speed [m/s]."""
     return int(np.argmin([abs(speed - one) for one in SPEEDS]))
@@ -279,29 +287,7 @@ class ClipLibrary:
         Raises:
             DataError: no clip of that name.
         """
-        before = self._between([first for first, _, _ in blends])
-        after = self._between([second for _, second, _ in blends])
-        share = np.array([share for _, _, share in blends])
-        if steps is None:
-            mixed = mix_plans(before, after, share)
-        else:
-            mixed = step_plans(self.build, before, after, share, steps)
-        return solve_plan(self.build, mixed)
-
-    def _between(self, places: Sequence[tuple[str, float, float]]) -> Plan:
-        """Plans of clips between their frames, each at (name, at, speed)."""
-        low, high, shares = [], [], []
-        for name, at, speed in places:
-            clip = self.clip(name, speed)
-            count = len(clip.plan)
-            frame = at * count if clip.stride else at * clip.fps
-            frame = frame % count if clip.loop else min(max(frame, 0.0), count - 1.0)
-            row = math.floor(frame)
-            after = (row + 1) % count if clip.loop else min(row + 1, count - 1)
-            low.append(clip.plan.rows(np.array([row % count])))
-            high.append(clip.plan.rows(np.array([after])))
-            shares.append(frame - row)
-        return mix_plans(join_plans(low), join_plans(high), np.array(shares))
+        return blend_many([(self, *one) for one in blends], steps=steps)
 
     def aligned_phase(self, phase: float, speed: float, other: float) -> float:
         """Phase of the walk at `other` m/s whose standing foot is where it is at `speed`, `phase`.
@@ -352,3 +338,59 @@ class ClipLibrary:
         return open_motion_of(
             self.build, clip.plan, clip.fps, name=title, category=clip.category, way=clip.way
         )
+
+
+def blend_many(
+    blends: Sequence[tuple[ClipLibrary, tuple[str, float, float], tuple[str, float, float], float]],
+    *,
+    steps: Sequence[Steps] | None = None,
+) -> tuple[F64, F64]:
+    """Poses [T, 55, 3] rad and shifts [T, 3] m of blends of many bodies.
+
+    Args:
+        blends: whose clips, and what `ClipLibrary.blend_at` is given.
+        steps: of each.
+
+    Raises:
+        DataError: no clip of that name.
+    """
+    before = _between([(library, *first) for library, first, _, _ in blends])
+    after = _between([(library, *second) for library, _, second, _ in blends])
+    share = np.array([share for *_, share in blends])
+    bodies = Bodies(np.stack([library.build.joints for library, *_ in blends]))
+    if steps is None:
+        mixed = mix_plans(before, after, share)
+    else:
+        mixed = step_plans(bodies, before, after, share, steps)
+    return solve_plan(bodies, mixed)
+
+
+def _between(places: Sequence[tuple[ClipLibrary, str, float, float]]) -> Plan:
+    """Plans of clips between their frames, each of (library, name, at, speed)."""
+    rows: dict[int, tuple[Clip, list[tuple[int, int, int]]]] = {}  # of each clip: n, low, high
+    shares = np.empty(len(places))
+    for n, (library, name, at, speed) in enumerate(places):
+        clip = library.clip(name, speed)
+        count = len(clip.plan)
+        frame = at * count if clip.stride else at * clip.fps
+        frame = frame % count if clip.loop else min(max(frame, 0.0), count - 1.0)
+        row = math.floor(frame)
+        after = (row + 1) % count if clip.loop else min(row + 1, count - 1)
+        rows.setdefault(id(clip), (clip, []))[1].append((n, row % count, after))
+        shares[n] = frame - row
+    order = np.empty(len(places), np.int64)
+    low, high, at = [], [], 0
+    for clip, some in rows.values():
+        index = np.array(some)
+        order[index[:, 0]] = np.arange(at, at + len(some))
+        low.append(clip.plan.rows(index[:, 1]))
+        high.append(clip.plan.rows(index[:, 2]))
+        at += len(some)
+    return mix_plans(join_plans(low), join_plans(high), _by_place(shares, order)).rows(order)
+
+
+def _by_place(values: F64, order: NDArray[np.int64]) -> F64:
+    """Values [T] of places, where `order` puts each."""
+    found = np.empty_like(values)
+    found[order] = values
+    return found

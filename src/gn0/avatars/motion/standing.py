@@ -40,7 +40,7 @@ _SPINE = ("spine1", "spine2", "spine3")
 def ease(u: NDArray[np.floating]) -> F64:
     """From 0 to 1 over u in 0..1, of no speed and no jerk at its ends; held beyond."""
     x = np.clip(np.asarray(u, np.float64), 0.0, 1.0)
-    return x**3 * (10.0 + x * (6.0 * x - 15.0))
+    return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
 def plan_stance(

@@ -20,6 +20,7 @@ from gn0.avatars.motion.gait import (
 )
 from gn0.avatars.motion.legs import (
     SIGN,
+    Bodies,
     Build,
     Plan,
     highest_pelvis,
@@ -338,7 +339,11 @@ def _move_feet(plan: Plan, stood: F64, turned: F64) -> Plan:
 
 
 def step_plans(
-    build: Build, first: Plan, second: Plan, share: NDArray[np.floating], steps: Sequence[Steps]
+    build: Build | Bodies,
+    first: Plan,
+    second: Plan,
+    share: NDArray[np.floating],
+    steps: Sequence[Steps],
 ) -> Plan:
     """The `share` [T] (0..1) of the way between plans [T], one foot after the other, and lifted."""
     stops = np.array([one.stops for one in steps])
@@ -353,13 +358,13 @@ def step_plans(
     away = np.linalg.norm(second.ankles - first.ankles, axis=-1)
     for k in (0, 1):
         u = np.clip(2.0 * share - (k != early), 0.0, 1.0)
-        # powers one by one: those of arrays differ in their last bits
-        eased = np.array([float(ease(np.asarray(x))) for x in u.tolist()])
-        foot = mix_plans(first, second, eased)
+        foot = mix_plans(first, second, ease(u))
         for name in ("ankles", "feet", "toes", "knees", "stands"):
             getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]
-        middle = np.array([(2.0 * x - 1.0) ** 4 for x in u.tolist()])
-        mixed.ankles[:, k, 1] += _PIVOT_LIFT * (1.0 - middle) * np.minimum(away[:, k] / 0.05, 1.0)
+        middle = (2.0 * u - 1.0) * (2.0 * u - 1.0)
+        mixed.ankles[:, k, 1] += (
+            _PIVOT_LIFT * (1.0 - middle * middle) * np.minimum(away[:, k] / 0.05, 1.0)
+        )
     pelvis = mixed.pelvis.copy()
     pelvis[:, 1] = np.minimum(pelvis[:, 1], highest_pelvis(build, mixed, 0.998))
     return replace(mixed, pelvis=pelvis)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
+from gn0.jit import njit, prange
 
+_MANY = 1024  # rotations that are worth several threads
 _AXES = {"x": 1, "y": 2, "z": 3}
 
 
@@ -54,20 +57,48 @@ def about_axis(axis: str, angles: NDArray[np.floating]) -> F64:
 
 def slerp(a: NDArray[np.floating], b: NDArray[np.floating], share: NDArray[np.floating]) -> F64:
     """Quaternions [..., 4] the `share` [...] of the shorter way from `a` to `b`."""
-    first, second = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    cosine = (first * second).sum(axis=-1, keepdims=True)
-    second = np.where(cosine < 0, -second, second)
-    # the angle by its chords, which keeps its digits where the arc cosine has none
-    angle = 2.0 * np.arctan2(
-        np.linalg.norm(first - second, axis=-1, keepdims=True),
-        np.linalg.norm(first + second, axis=-1, keepdims=True),
+    shape = np.broadcast_shapes(np.shape(a), np.shape(b), (*np.shape(share), 1))
+    first, second, part = (
+        np.broadcast_to(np.asarray(one, np.float64), to)
+        for one, to in ((a, shape), (b, shape), (share, shape[:-1]))
     )
-    t = np.asarray(share, np.float64)[..., None]
-    scale = np.sinc(angle / np.pi)
-    left = (1.0 - t) * np.sinc((1.0 - t) * angle / np.pi) / scale
-    right = t * np.sinc(t * angle / np.pi) / scale
-    mixed = left * first + right * second
-    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+    found = np.empty((math.prod(shape[:-1]), 4))
+    flat = first.reshape(-1, 4), second.reshape(-1, 4), part.reshape(-1)
+    (_slerp_many if len(found) > _MANY else _slerp)(*flat, found)
+    return found.reshape(shape)
+
+
+@njit
+def _slerp(a, b, share, out):  # type: ignore[no-untyped-def]
+    for n in range(a.shape[0]):
+        _slerp_one(a[n], b[n], share[n], out[n])
+
+
+@njit(parallel=True)
+def _slerp_many(a, b, share, out):  # type: ignore[no-untyped-def]
+    for n in prange(a.shape[0]):
+        _slerp_one(a[n], b[n], share[n], out[n])
+
+
+@njit
+def _slerp_one(a, b, t, out):  # type: ignore[no-untyped-def]
+    sign = -1.0 if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0.0 else 1.0
+    less = more = 0.0
+    for k in range(4):
+        less += (a[k] - sign * b[k]) ** 2
+        more += (a[k] + sign * b[k]) ** 2
+    # the angle by its chords, which keeps its digits where the arc cosine has none
+    angle = 2.0 * math.atan2(math.sqrt(less), math.sqrt(more))
+    left, right = 1.0 - t, t
+    if angle > 0.0:
+        left, right = math.sin((1.0 - t) * angle), math.sin(t * angle)
+    length = 0.0
+    for k in range(4):
+        out[k] = left * a[k] + right * sign * b[k]
+        length += out[k] ** 2
+    length = math.sqrt(length)
+    for k in range(4):
+        out[k] /= length
 
 
 def matrices_of(quats: NDArray[np.floating]) -> F64:

@@ -672,6 +672,7 @@ class RendererBatch:
                 return attempt()
             except DeviceMemoryError:
                 self._forget_calls()  # they hold sets and clouds
+                self._places.let_go()
                 if self.store.give_way(wanted) or self.store.give_way(pinned):
                     continue
                 if cleared or not clear_sets([*self._sets.values(), *list_sets(parts)]):

@@ -21,6 +21,7 @@ from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
+from gn0.jit import njit, prange
 from gn0.render.cuda.cloud import CloudDevice, CloudLabels
 from gn0.render.cuda.records import FindSlots, PoseSplats
 from gn0.render.cuda.tables import CHUNK
@@ -213,18 +214,43 @@ def ready_poses(wanted: Sequence[Posing]) -> ReadyPoses:
         RenderError: somebody reaches so far that its places would be too coarse.
     """
     most = max(one.rest.lying for one in wanted)
-    rows = np.zeros((len(wanted), row_width(most)), np.float32)
-    joints = rows[:, : _JOINTS * _OF_JOINT].reshape(-1, _JOINTS, _OF_JOINT)
-    joints[..., :12] = np.stack([one.transforms for one in wanted]).reshape(-1, _JOINTS, 12)
-    joints[..., 12:] = np.stack([one.turns for one in wanted])
     floors = np.ones((len(wanted), most, 4), np.float32)
     for floor, one in zip(floors, wanted, strict=True):
         floor[: one.rest.lying] = one.floor
-    floors[..., 3] = np.log(np.clip(floors[..., 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
-    rows[:, _JOINTS * _OF_JOINT :] = floors.reshape(len(wanted), -1)
-    boxes = _find_capsules(wanted)
-    steps = np.array([_choose_step(box, n) for n, box in enumerate(boxes)], np.float32)
-    return ReadyPoses(rows, boxes, steps)
+    transforms = np.stack([one.transforms for one in wanted])
+    turns = np.stack([one.turns for one in wanted])
+    return ready_all([one.rest for one in wanted], transforms, turns, floors)
+
+
+def ready_all(rests: Sequence[RestDevice], transforms: F64, turns: F64, floors: F32) -> ReadyPoses:
+    """The same of arrays.
+
+    Args:
+        rests: of whom, for each pose.
+        transforms: of each joint, as of `Posing` [n, 55, 3, 4].
+        turns: their rotations [n, 55, 4].
+        floors: splats on the floor [n, most, 4], the first `lying` of each count.
+
+    Raises:
+        RenderError: see `ready_poses`.
+    """
+    count, most = floors.shape[:2]
+    rows = np.empty((count, row_width(most)), np.float32)
+    joints = rows[:, : _JOINTS * _OF_JOINT].reshape(count, _JOINTS, _OF_JOINT)
+    joints[..., :12] = transforms.reshape(count, _JOINTS, 12)
+    joints[..., 12:] = turns
+    lying = rows[:, _JOINTS * _OF_JOINT :].reshape(count, most, 4)
+    lying[..., :3] = floors[..., :3]
+    lying[..., 3] = np.log(np.clip(floors[..., 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
+    kinds = list({id(rest): rest for rest in rests}.values())
+    number = {id(rest): k for k, rest in enumerate(kinds)}
+    which = np.array([number[id(rest)] for rest in rests], np.int64)
+    boxes = np.empty((count, 7), np.float32)
+    reach = np.stack([rest.reach for rest in kinds])
+    laid = np.array([rest.lying for rest in kinds], np.int64)
+    _box_capsules(np.ascontiguousarray(transforms), floors, reach, laid, which, boxes)
+    boxes[:, 6] = np.array([rest.widest for rest in kinds])[which]
+    return ReadyPoses(rows, boxes, _choose_steps(boxes))
 
 
 def row_width(lying: int) -> int:
@@ -382,41 +408,51 @@ def place_codes(
     return keys, found
 
 
-def _find_capsules(wanted: Sequence[Posing]) -> F32:
-    """Boxes that hold all of each pose and its largest reach of a splat [n, 7], without its splats.
+@njit(parallel=True)
+def _box_capsules(transforms, floors, reach, lying, which, boxes):  # type: ignore[no-untyped-def]
+    """Boxes [n, :6] that hold all of each pose, without its splats.
 
     What hangs on joints is a mean of places none of which is further from where a joint goes than
     it was at rest.
     """
-    reach = np.stack([one.rest.reach for one in wanted])
-    transforms = np.stack([one.transforms for one in wanted])
-    away = np.where(reach[..., :1] < 0, -np.inf, reach[..., :1])  # where nothing hangs: no corner
-    placed = np.einsum("njab,njb->nja", transforms[..., :3], reach[..., 1:]) + transforms[..., 3]
-    below = np.concatenate([part for one in wanted for part in (one.floor[:, :3], [_MIDDLE])])
-    first = np.cumsum([0, *(len(one.floor) + 1 for one in wanted[:-1])])
-    low = np.minimum((placed - away).min(axis=1), np.minimum.reduceat(below, first))
-    high = np.maximum((placed + away).max(axis=1), np.maximum.reduceat(below, first))
-    found = np.empty((len(wanted), 7), np.float32)
-    found[:, :3], found[:, 3:6] = low - _SLACK, high + _SLACK
-    found[:, 6] = [one.rest.widest for one in wanted]
-    return found
+    for n in prange(transforms.shape[0]):
+        low, high = np.empty(3), np.empty(3)
+        for a in range(3):
+            low[a] = high[a] = _MIDDLE[a]
+        own = reach[which[n]]
+        for j in range(own.shape[0]):
+            away = own[j, 0]
+            if away < 0.0:  # nothing hangs there
+                continue
+            m = transforms[n, j]
+            for a in range(3):
+                at = m[a, 0] * own[j, 1] + m[a, 1] * own[j, 2] + m[a, 2] * own[j, 3] + m[a, 3]
+                low[a], high[a] = min(low[a], at - away), max(high[a], at + away)
+        for k in range(lying[which[n]]):
+            for a in range(3):
+                at = np.float64(floors[n, k, a])
+                low[a], high[a] = min(low[a], at), max(high[a], at)
+        for a in range(3):
+            boxes[n, a], boxes[n, 3 + a] = low[a] - _SLACK, high[a] + _SLACK
 
 
-def _choose_step(box: F32, number: int) -> float:
-    """The finest step [m] that holds a box of centres.
+def _choose_steps(boxes: F32) -> F32:
+    """The finest steps [n] m that hold boxes [n, 7] of centres.
 
     Raises:
-        RenderError: it is too coarse.
+        RenderError: one is too coarse.
     """
-    most = max(float(np.abs(box[:6].reshape(2, 3) - _MIDDLE).max()), 0.5)
-    step = float(np.float32(most / _STEPS))
-    if not step <= STEP_MOST:
+    away = np.abs(boxes[:, :6].reshape(-1, 2, 3) - np.array(_MIDDLE)).max(axis=(1, 2))
+    most = np.maximum(away, 0.5)
+    steps = (most / _STEPS).astype(np.float32)
+    for number in np.flatnonzero(~(steps <= STEP_MOST)).tolist():
         raise RenderError(
-            f"it reaches {most:.1f} m from its middle; 16 bytes hold {_STEPS * STEP_MOST:.1f} m",
+            f"it reaches {most[number]:.1f} m from its middle; 16 bytes hold "
+            f"{_STEPS * STEP_MOST:.1f} m",
             where=f"pose {number}",
             remedy="name its cloud to the renderer instead (name_cloud), which is not packed so",
         )
-    return step
+    return steps
 
 
 def _find_reach(cloud: RestCloud, joint: NDArray[np.uint8], body: int) -> F64:

@@ -19,6 +19,7 @@ import pytest
 from gn0.avatars.bank import digest_avatar
 from gn0.cli.main import main
 from gn0.data import part as part_module
+from gn0.data import part_pictures
 from gn0.data.balance import BalanceSettings, balance_dataset, load_selection
 from gn0.data.build import build_dataset, build_shard
 from gn0.data.dataset import Dataset, open_dataset
@@ -305,6 +306,10 @@ def test_labels_first_and_pictures_later_is_the_same(
 def test_the_process_that_draws_for_all_gives_the_same_bytes(
     suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
 ) -> None:
+    def refuse(*args: object, **more: object) -> None:
+        raise AssertionError("a worker reads splats for boxes, which that process can tell")
+
+    monkeypatch.setattr(part_pictures, "open_simulator", refuse)
     monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu", "cuda"}))
     build_dataset(suite, tmp_path / "data", data.about.settings, bank=bank)
     assert files_of(tmp_path / "data") == files_of(data.folder)

@@ -14,11 +14,11 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.plugins import get_plugin, is_builtin
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import choose_backend, name_drawing
-from gn0.render.share.client import DrawServer
+from gn0.render.share.server_process import DrawServer
 from gn0.sim.sensor.table import carry_sensors
 from gn0.suites.suite import load_suite_scene
 
-LOADER = f"{__name__}:load_look"  # for `gn0.render.share.client.DrawServer`
+LOADER = f"{__name__}:load_look"  # for `gn0.render.share.server_process.DrawServer`
 POSER = "gn0.people.poser:open_poser"  # likewise; bodies are loaded in that process alone
 SHARED: frozenset[str] = frozenset({"cuda"})  # backends that one process draws with for all
 

@@ -16,7 +16,7 @@ from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
 from gn0.bench.runner import run_suite
 from gn0.cli.result_tables import print_summaries
-from gn0.errors import EpisodeError
+from gn0.errors import EpisodeError, Gn0Error
 from gn0.missions.episode import MissionFollow
 from gn0.people.walk import walk_alone
 from gn0.suites.suite import Suite
@@ -197,3 +197,29 @@ def test_people_of_a_bank_are_shown_from_it_and_another_bank_is_refused(tmp_path
     with pytest.raises(EpisodeError, match=f"is of bank {listed['hash']}, this is another") as told:
         run_suite(suite, "oracle", tmp_path / "other", bank=bank)
     assert "c-follow" in told.value.where and not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("policy", ["seeing", "seeing_late"])
+def test_a_goal_run_that_shows_people_of_a_bank_says_that_it_needs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str
+) -> None:
+    """Before anything is played, as well where only the built policy says that it sees pictures."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "plugin"))
+    bank, run = people_samples.save_bank(tmp_path / "bank"), tmp_path / "run"
+    alone, crossed = people_samples.goal_episode("a-alone"), people_samples.crossed_episode()
+    suite = people_samples.save_some(tmp_path / "suite", alone, crossed)
+    options = {"plugin_modules": ("seeing_policies",)}
+    with pytest.raises(EpisodeError, match="'p0001' is of a bank of people, and none") as caught:
+        run_suite(suite, policy, run, **options)
+    assert caught.value.where == "episode 'b-crossed', person 3, identity"
+    assert "--bank" in caught.value.remedy and not list(run.glob("*.json"))
+    summary = run_suite(suite, policy, run, bank=bank, **options)  # the same folder
+    assert summary.ok and len(load_results(run)) == 2
+    with pytest.raises(Gn0Error) as told:  # a resumed one is told the same
+        run_suite(suite, policy, run, **options)
+    assert "--bank" in told.value.remedy
+    assert run_suite(suite, policy, run, bank=bank, **options).ok
+    # nothing is shown to who sees no pictures, or where nobody is of a bank
+    assert run_suite(suite, "oracle", tmp_path / "blind").ok
+    nobody = Suite(suite.folder, suite.about, suite.episodes[:1])
+    assert run_suite(nobody, policy, tmp_path / "nobody", **options).ok

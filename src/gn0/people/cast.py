@@ -104,10 +104,12 @@ class Cast:
                     raise EpisodeError(error.what, where=place, remedy=error.remedy) from None
                 continue
             if self.bank is None:
+                which = f" of hash {person.bank}" if person.bank else ""
                 raise EpisodeError(
                     f"{person.identity!r} is of a bank of people, and none was given",
                     where=place,
-                    remedy="give bank= (--bank), or people of identities drawn:SEED:NUMBER",
+                    remedy=f"give the folder of the bank{which} (--bank, in Python bank=), or "
+                    "people of identities drawn:SEED:NUMBER",
                 )
             if person.bank and person.bank != self.bank.content_hash:
                 raise EpisodeError(

@@ -20,6 +20,7 @@ from gn0.errors import EpisodeError, Gn0Error
 from gn0.missions.episode import MissionFollow
 from gn0.people.walk import walk_alone
 from gn0.suites.suite import Suite
+from gn0.viewer.recorded_runs import load_replay
 from gn0_trials import people_samples
 from gn0_trials.follow_suite_small import WALKER, follow_episode, save_small
 
@@ -133,11 +134,20 @@ def test_boxes_are_followed(small: Suite, tmp_path: Path) -> None:
 def test_moves_that_somebody_cuts_short_are_counted_on_the_way_to_a_goal(
     small: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    walks = Suite(small.folder, small.about, small.episodes[1:])
-    summary = run_suite(walks, "straight", tmp_path)
-    result, trace = of(tmp_path)["b"]
+    walks, run_folder = save_small(tmp_path / "suite", small.episodes[1]), tmp_path / "run"
+    summary = run_suite(walks, "straight", run_folder)
+    result, trace = of(run_folder)["b"]
     assert isinstance(result.touches, int) and result.touches > 0
     assert {number for _, number in trace.touches or ()} == {8}
+    said = str(replay_run(run_folder, walks.folder))
+    assert f"people touched {result.touches} times, in 1 of 1 episode with people" in said
+    replay = load_replay([run_folder])
+    (run,), (episode,) = replay.runs, replay.episodes
+    assert f"| touches | {result.touches}: person 8 at " in replay.metrics_table(episode)
+    first = trace.touches[0][0]
+    assert replay.word(run, episode, first + 1).endswith(", touches person 8")
+    page = write_report(run_folder, tmp_path / "report.html", videos=0).read_text()
+    assert f">{result.touches} touches<" in page
     assert {index for index, _ in trace.touches or ()} <= set(trace.collided)
     assert summary.metrics["CR"].mean == 1.0
     print_summaries([summary])

@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 
 from gn0.bench.episode_worker import EpisodeWorker
+from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import (
@@ -82,6 +83,7 @@ class Replay:
         recorded_code, code: which code recorded it, which replayed it.
         recorded_backend, recorded_versions: renderer and libraries of the recorded run.
         agreed: episodes that are equal to the byte.
+        touches: (episode, touches of people in it) of those that people are in.
         unscored: episodes that failed when they were recorded, so that there is nothing to drive.
         partings: the differences, one an episode and file, in order of episodes.
         notes: what else there is to say.
@@ -94,6 +96,7 @@ class Replay:
     recorded_backend: str
     recorded_versions: Mapping[str, str]
     agreed: int
+    touches: tuple[tuple[str, int], ...] = ()
     unscored: tuple[str, ...] = ()
     partings: tuple[Parting, ...] = ()
     notes: tuple[str, ...] = ()
@@ -114,6 +117,8 @@ class Replay:
         lines += self.notes
         if self.unscored:
             lines.append(f"{len(self.unscored)} episodes failed when recorded: nothing to drive")
+        if self.touches:
+            lines.append(_tell_touches(self.touches))
         lines += [f"differs at {parting}" for parting in self.partings[:SHOWN]]
         if len(self.partings) > SHOWN:
             lines.append(f"... and {len(self.partings) - SHOWN} more")
@@ -320,6 +325,27 @@ def _failed(recorded: EpisodeResult) -> EpisodeResult:
     )
 
 
+def _count_touches(data: RunData) -> Iterator[tuple[str, int]]:
+    """How often the agent touched people, of each recorded episode with some."""
+    for result in sorted(data.results, key=lambda r: r.episode):
+        follow = data.traces[result.episode].follow if result.episode in data.traces else None
+        if isinstance(follow, FollowTrace):
+            yield result.episode, len(follow.hits)
+        elif isinstance(result.touches, int):
+            yield result.episode, result.touches
+
+
+def _tell_touches(touches: Sequence[tuple[str, int]]) -> str:
+    """In how many episodes people were touched, and in which."""
+    met = [f"{episode} {count}" for episode, count in touches if count]
+    told = f": {', '.join(met[:SHOWN])}{' …' if len(met) > SHOWN else ''}" if met else ""
+    total = sum(count for _, count in touches)
+    return (
+        f"people touched {total} time{'' if total == 1 else 's'}, in {len(met)} of "
+        f"{len(touches)} episode{'' if len(touches) == 1 else 's'} with people{told}"
+    )
+
+
 def _conclude(
     data: RunData,
     suite: Suite,
@@ -340,6 +366,7 @@ def _conclude(
         if isinstance(versions, dict)
         else {},
         agreed=sum(r.episode not in apart for r in data.results),
+        touches=tuple(_count_touches(data)),
         unscored=tuple(unscored),
         partings=tuple(sorted(partings, key=lambda p: (not p.episode, p.episode, p.file))),
         notes=tuple(notes),

@@ -33,7 +33,6 @@ from gn0.bench.metrics import METRICS, TOUCHED
 from gn0.bench.people_replay import PeopleReplay
 from gn0.bench.release_score import SIDE_BY_SIDE
 from gn0.bench.report_follow import (
-    END_WORDS,
     distance_strip,
     tell_end,
     track_marks,
@@ -487,7 +486,6 @@ def _follow_row(
         "marks": track_marks(window, record, steps),
         "places": np.vstack([record.poses[:, :2], record.people[record.target]]),
         "strip": distance_strip(record, steps, rules, title=f"distance over time: {episode.id}"),
-        "end": END_WORDS[steps.end],
     }
 
 

@@ -116,13 +116,14 @@ class Cast:
                     f"{person.identity!r} is of bank {person.bank}, this is "
                     f"{self.bank.content_hash}",
                     where=place,
-                    remedy="give the bank that the episodes were made with",
+                    remedy=f"give the bank that they were made with, not {self.bank.folder}",
                 )
             if person.identity not in self.bank.names:
                 raise EpisodeError(
-                    f"nobody is called {person.identity!r}",
+                    f"nobody is called {person.identity!r} in {self.bank.folder}",
                     where=place,
-                    remedy=f"choose one of {', '.join(self.bank.names[:6])} …",
+                    remedy=f"choose one of {', '.join(self.bank.names[:6])}"
+                    + (" …" if len(self.bank.names) > 6 else ""),
                 )
 
     def find(self, identity: str) -> Actor:

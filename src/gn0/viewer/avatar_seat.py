@@ -43,5 +43,5 @@ def find_height(avatar: Avatar, pelvis: float) -> float:
 def place_seat(pelvis: F64, height: float = SEAT) -> GaussianCloud:
     """The block below a pelvis [3] m of somebody who faces +x, in GN0's axes."""
     block = build_box((*_SIZE, height), _WOOD, 0.02)
-    means = block.means + np.float32([pelvis[0] - _BACK, pelvis[1], 0.0])
+    means = block.means + np.array([pelvis[0] - _BACK, pelvis[1], 0.0], np.float32)
     return replace(block, means=means)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gn0.bench.follow_metrics import FollowMetrics
-from gn0.bench.replay import replay_run
+from gn0.bench.replay import replay_run, rerun_policy
 from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
 from gn0.bench.runner import run_suite
@@ -204,6 +204,10 @@ def test_people_of_a_bank_are_shown_from_it_and_another_bank_is_refused(tmp_path
     assert follow.by_pictures and follow.visible_share
     assert str(bank) not in (run / "run.json").read_text()
     write_report(run, run / "report.html", videos=1, bank=bank)
+    with pytest.raises(EpisodeError, match="none was given"):
+        replay_run(run, suite.folder)
+    assert replay_run(run, suite.folder, bank=bank).ok
+    assert rerun_policy(run, "oracle", suite.folder, bank=bank).ok
     (bank / "bank.json").write_text(json.dumps({**listed, "hash": "another"}))
     with pytest.raises(EpisodeError, match=f"is of bank {listed['hash']}, this is another") as told:
         run_suite(suite, "oracle", tmp_path / "other", bank=bank)

@@ -30,10 +30,12 @@ from gn0.bench.results import (
     encode_line,
     recorded_actions,
 )
+from gn0.bench.run_bank import check_bank
 from gn0.bench.run_settings import HIDDEN, build_settings
 from gn0.bench.runner import run_suite
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError, Gn0Error, brief
+from gn0.missions.episode import MissionFollow
 from gn0.plugins import SECRETS, describe_error
 from gn0.progress import Progress, no_progress
 from gn0.render.renderer import VISIBLE_BACKENDS
@@ -165,6 +167,7 @@ def replay_run(
     run: Path | str,
     suite: Path | str | None = None,
     *,
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Replay:
     """Drive a run's recorded actions again and compare.
@@ -172,13 +175,21 @@ def replay_run(
     Args:
         run: results folder.
         suite: its suite, if it was not run from here.
+        bank: folder of the bank of people whom episodes name; needed where one is followed.
         progress: progress sink.
 
     Raises:
         BenchError: the suite is not known here, or another one was given.
+        EpisodeError: people are of another bank, or of one that was not given.
         StorageError, FormatError: a file is missing or damaged.
     """
     data, home, settings = _open_run(run, suite)
+    told = {result.episode for result in data.results}
+    follows = [e for e in home.episodes if e.id in told and isinstance(e.mission, MissionFollow)]
+    if follows or bank is not None:  # who is followed is judged by pictures
+        check_bank(follows, bank)
+    if bank is not None:
+        settings = msgspec.structs.replace(settings, bank=str(Path(bank).resolve()))
     policy = PolicyReplay(str(data.summary.policy))
     worker = EpisodeWorker(settings, policy)
     episodes = {episode.id: episode for episode in home.episodes}
@@ -226,6 +237,7 @@ def rerun_policy(
     workers: int = 1,
     policy_options: Mapping[str, Any] | None = None,
     plugin_modules: Sequence[str] = (),
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Replay:
     """Run the policy itself again, in a scratch folder, and compare.
@@ -237,6 +249,7 @@ def rerun_policy(
         workers: processes.
         policy_options: options of the policy.
         plugin_modules: modules to import first.
+        bank: folder of the bank of people whom episodes name.
         progress: progress sink.
 
     Raises:
@@ -262,6 +275,7 @@ def rerun_policy(
             plugin_modules=plugin_modules,
             max_episodes=data.summary.expected,
             backend=settings.backend,
+            bank=bank,
             progress=progress,
         )
         again = load_run(scratch)

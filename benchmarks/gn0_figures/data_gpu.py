@@ -23,11 +23,11 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.depth import scale_on_device
 from gn0.render.encoding import Dots, MapPicture
 from gn0.render.renderer import Output
-from gn0.render.share.client import DrawServer
 from gn0.render.share.digest import Mosaics, digest_on_device
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.render.share.maps import MapPainter
 from gn0.render.share.messages import Tally
+from gn0.render.share.server_process import DrawServer
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.history import build_mosaic, reduce_picture

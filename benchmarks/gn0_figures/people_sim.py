@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import msgspec
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.maps.inflate import inflate
@@ -17,7 +18,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.people.crowd import build_walls, empty_crowd, find_pace, place_people, step_crowd
 from gn0.people.plan import PeopleSettings, plan_people
-from gn0.people.reach import CLIP, HOLD_LEFT, MODE, X, Y
+from gn0.people.reach import CLIP, HOLD_LEFT, MODE, WAY, X, Y
 from gn0.people.route import build_routes
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
@@ -33,6 +34,7 @@ TICKER = AgentSpec(radius=0.25, step_seconds=0.1, forward_step=0.125, turn_degre
 WALL, BODIES = 0.30, 0.50  # m from walls, and between two centres
 SECONDS = 60.0  # of each episode that is looked at tick by tick
 STILL = 0.005  # m a tick
+NO_WAY, WON = 20.0, 0.25  # s in which who is on its way should win so much of it [m]
 ROUNDS = 5
 
 
@@ -89,6 +91,7 @@ class Found:
         least_gap: the smallest distance of two centres less the sum of radii [m].
         longest: the longest time that somebody on its way stood still, without a stop [s].
         stuck: people who stood for more than 10 s so.
+        no_way: people who won no way for `NO_WAY` s, standing or shuffling, without a stop.
         hits: moves of agents that were cut by somebody.
         digest: of all places.
     """
@@ -98,8 +101,33 @@ class Found:
     least_gap: float
     longest: float
     stuck: int
+    no_way: int
     hits: int
     digest: str
+
+
+class WayWatch:
+    """Who wins no way: its place along its path stays within `WON` for `NO_WAY` seconds on end.
+
+    Stepping from foot to foot, aside, or back and forth wins nothing. Stops of the script, and who
+    has arrived, do not count.
+
+    Args:
+        shape: episodes, people.
+        ticks: in `NO_WAY` seconds.
+    """
+
+    def __init__(self, shape: tuple[int, ...], ticks: int) -> None:
+        self._ways = np.full((ticks, *shape), np.nan)  # a ring; NaN: not on its way then
+        self._tick = 0
+        self.found = np.zeros(shape, np.bool_)  # who ever won none
+
+    def see(self, way: F64, on_way: NDArray[np.bool_]) -> None:
+        """Take a tick: ways along paths [E, P] m, and who is on its way."""
+        self._ways[self._tick % len(self._ways)] = np.where(on_way, way, np.nan)
+        self._tick += 1
+        with np.errstate(invalid="ignore"):
+            self.found |= self._ways.max(axis=0) - self._ways.min(axis=0) < WON
 
 
 def watch(
@@ -124,6 +152,7 @@ def watch(
     here = crowd.route >= 0
     still = np.zeros(here.shape, np.int64)
     longest, in_walls, least, hits = still.copy(), 0, np.inf, 0
+    ways = WayWatch(here.shape, round(NO_WAY / TICKER.step_seconds))
     pairs = np.triu_indices(here.shape[1] + 1, 1)
     for tick in range(rounds):
         *_, infos = env.step(actions[:, tick])
@@ -139,8 +168,9 @@ def watch(
         there = np.concatenate([here, np.ones((len(here), 1), np.bool_)], axis=1)
         apart = np.linalg.norm(everyone[:, pairs[0]] - everyone[:, pairs[1]], axis=2)
         least = min(least, float(apart[there[:, pairs[0]] & there[:, pairs[1]]].min()))
-        waits = walks & (crowd.whole[:, :, CLIP] == 0)
-        waits &= (crowd.real[:, :, HOLD_LEFT] <= 0.0) & (crowd.whole[:, :, MODE] != 2)
+        on_way = walks & (crowd.real[:, :, HOLD_LEFT] <= 0.0) & (crowd.whole[:, :, MODE] != 2)
+        ways.see(crowd.real[:, :, WAY], on_way)
+        waits = on_way & (crowd.whole[:, :, CLIP] == 0)
         still = np.where(waits, still + 1, 0)
         longest = np.maximum(longest, still)
     whole = hashlib.blake2b(digest_size=8)
@@ -152,6 +182,7 @@ def watch(
         least_gap=least - BODIES,
         longest=float(longest.max()) * TICKER.step_seconds,
         stuck=int((longest * TICKER.step_seconds > 10.0).sum()),
+        no_way=int(ways.found.sum()),
         hits=hits,
         digest=whole.hexdigest(),
     )
@@ -217,6 +248,10 @@ def measure_people(ctx: FigureContext) -> list[FigureRow]:
         row_at_most("centres nearer to a wall than 0.30 m", found.in_walls, 0, "ticks", detail),
         row_at_least("least gap of two bodies", found.least_gap * 1e3, 0, "mm", detail),
         row_at_most("people stuck for more than 10 s", found.stuck, 0, "people", detail),
+        FigureRow(
+            name=f"people who won no way in {NO_WAY:g} s", value=found.no_way, unit="people",
+            detail=f"{detail}; {WON:g} m along the path; stops of the script left out",
+        ),
         FigureRow(
             name="longest that somebody stood still on its way", value=found.longest, unit="s",
             detail=f"{detail}; stops of the script left out",

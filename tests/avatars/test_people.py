@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from gn0.avatars.avatar import Avatar, contact_shadow
+from gn0.avatars.avatar import TO_WORLD, Avatar, contact_shadow
 from gn0.avatars.colour_names import NAMES, draw_colour, lab_of, name_colour
 from gn0.avatars.identity import Identity, draw_people
 from gn0.avatars.layer import PARTS
+from gn0.avatars.motion.legs import measure_build
+from gn0.avatars.motion.library import ClipLibrary
+from gn0.avatars.motion.standing import SEAT
 from gn0.avatars.person import build_person, shape_identity
 from gn0.avatars.poses import trial_poses
 from gn0.avatars.skeleton import INDEX
+from gn0.avatars.skinning import pose_joints
 from gn0.avatars.wardrobe import BOTTOMS, TOPS
 from gn0.errors import DataError
 from gn0.gaussians.cloud import GaussianCloud
@@ -32,6 +37,8 @@ from gn0.viewer.avatar_check import (
     read_colour,
     score_colour,
 )
+from gn0.viewer.avatar_film import film_motion
+from gn0.viewer.avatar_seat import find_height, place_seat, seat_person
 from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait
 from gn0_trials.people_small import small_person
 
@@ -225,3 +232,27 @@ def test_pages_show_everybody(woman: Avatar) -> None:
     assert half.std() > 20  # somebody is there
     assert describe_avatar(woman)[1] == "red knitted sweater"
     assert np.asarray(draw_portrait(woman)).std() > 10
+
+
+@pytest.mark.parametrize("height", [0.35, 0.45])
+def test_who_is_shown_seated_sits_on_a_seat_with_the_feet_on_the_floor(
+    woman: Avatar, height: float
+) -> None:
+    build = measure_build(woman.joints, woman.points, woman.weights)
+    motion = ClipLibrary(build, 0, height).motion("sit")
+    _, joints = pose_joints(woman.joints, motion.poses[0], motion.shift[0])
+    pelvis = joints[0] @ TO_WORLD.T
+    assert find_height(woman, pelvis[2]) == pytest.approx(height, abs=1e-3)
+    body = woman.pose(motion.poses[0], motion.shift[0], shadow=False)
+    block = place_seat(pelvis, height)
+    assert abs(float(body.means[:, 2].min())) < 0.02 and block.means[:, 2].min() == 0.0
+    over = np.abs(body.means[:, :2] - np.float32(pelvis[:2])).max(axis=1) < 0.12
+    assert abs(float(body.means[over, 2].min()) - height) < 0.06  # lies on it
+    calves = body.means[(body.means[:, 2] < height - 0.1) & (body.means[:, 2] > 0.05)]
+    assert calves[:, 0].min() > block.means[:, 0].max()  # and not within it
+    if height == SEAT:
+        assert len(seat_person(woman)) > len(body) + len(block)  # and a shadow
+    with_seat, without = (
+        film_motion(woman, replace(motion, category=kind), [0])[0] for kind in ("sit", "")
+    )
+    assert (with_seat != without).any(axis=-1).sum() > 500

@@ -13,7 +13,7 @@ import pytest
 from gn0.bench.runner import run_suite
 from gn0.errors import BenchError
 from gn0.render.light import LightCondition
-from gn0.render.share.client import DrawServer
+from gn0.render.share.server_process import DrawServer
 from gn0.suites import scene_drawing
 from gn0.suites.run_files import RESULTS, RUN, TRAJECTORIES
 from gn0.suites.scene_drawing import Look, choose_run_backend, load_look, needs_renderer

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 
 from gn0.bench.follow_metrics import FollowMetrics
-from gn0.bench.replay import replay_run
+from gn0.bench.replay import replay_run, rerun_policy
 from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
 from gn0.bench.runner import run_suite
 from gn0.cli.result_tables import print_summaries
-from gn0.errors import EpisodeError
+from gn0.errors import EpisodeError, Gn0Error
 from gn0.missions.episode import MissionFollow
 from gn0.people.walk import walk_alone
 from gn0.suites.suite import Suite
+from gn0.viewer.recorded_runs import load_replay
 from gn0_trials import people_samples
 from gn0_trials.follow_suite_small import WALKER, follow_episode, save_small
 
@@ -133,15 +134,25 @@ def test_boxes_are_followed(small: Suite, tmp_path: Path) -> None:
 def test_moves_that_somebody_cuts_short_are_counted_on_the_way_to_a_goal(
     small: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    walks = Suite(small.folder, small.about, small.episodes[1:])
-    summary = run_suite(walks, "straight", tmp_path)
-    result, trace = of(tmp_path)["b"]
+    walks, run_folder = save_small(tmp_path / "suite", small.episodes[1]), tmp_path / "run"
+    summary = run_suite(walks, "straight", run_folder)
+    result, trace = of(run_folder)["b"]
     assert isinstance(result.touches, int) and result.touches > 0
     assert {number for _, number in trace.touches or ()} == {8}
+    said = str(replay_run(run_folder, walks.folder))
+    assert f"people touched {result.touches} times, in 1 of 1 episode with people" in said
+    replay = load_replay([run_folder])
+    (run,), (episode,) = replay.runs, replay.episodes
+    assert f"| touches | {result.touches}: person 8 at " in replay.metrics_table(episode)
+    first = trace.touches[0][0]
+    assert replay.word(run, episode, first + 1).endswith(", touches person 8")
+    page = write_report(run_folder, tmp_path / "report.html", videos=0).read_text()
+    assert f">{result.touches} touches<" in page
     assert {index for index, _ in trace.touches or ()} <= set(trace.collided)
     assert summary.metrics["CR"].mean == 1.0
     print_summaries([summary])
-    assert "CR %" in capsys.readouterr().out
+    table = capsys.readouterr().out
+    assert "CR %" in table and "…" not in table  # all of its columns fit
 
 
 def test_in_profile_evt_stop_ends_and_pixels_count(small: Suite, tmp_path: Path) -> None:
@@ -193,7 +204,37 @@ def test_people_of_a_bank_are_shown_from_it_and_another_bank_is_refused(tmp_path
     assert follow.by_pictures and follow.visible_share
     assert str(bank) not in (run / "run.json").read_text()
     write_report(run, run / "report.html", videos=1, bank=bank)
+    with pytest.raises(EpisodeError, match="none was given"):
+        replay_run(run, suite.folder)
+    assert replay_run(run, suite.folder, bank=bank).ok
+    assert rerun_policy(run, "oracle", suite.folder, bank=bank).ok
     (bank / "bank.json").write_text(json.dumps({**listed, "hash": "another"}))
     with pytest.raises(EpisodeError, match=f"is of bank {listed['hash']}, this is another") as told:
         run_suite(suite, "oracle", tmp_path / "other", bank=bank)
     assert "c-follow" in told.value.where and not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("policy", ["seeing", "seeing_late"])
+def test_a_goal_run_that_shows_people_of_a_bank_says_that_it_needs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str
+) -> None:
+    """Before anything is played, as well where only the built policy says that it sees pictures."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "plugin"))
+    bank, run = people_samples.save_bank(tmp_path / "bank"), tmp_path / "run"
+    alone, crossed = people_samples.goal_episode("a-alone"), people_samples.crossed_episode()
+    suite = people_samples.save_some(tmp_path / "suite", alone, crossed)
+    options = {"plugin_modules": ("seeing_policies",)}
+    with pytest.raises(EpisodeError, match="'p0001' is of a bank of people, and none") as caught:
+        run_suite(suite, policy, run, **options)
+    assert caught.value.where == "episode 'b-crossed', person 3, identity"
+    assert "--bank" in caught.value.remedy and not list(run.glob("*.json"))
+    summary = run_suite(suite, policy, run, bank=bank, **options)  # the same folder
+    assert summary.ok and len(load_results(run)) == 2
+    with pytest.raises(Gn0Error) as told:  # a resumed one is told the same
+        run_suite(suite, policy, run, **options)
+    assert "--bank" in told.value.remedy
+    assert run_suite(suite, policy, run, bank=bank, **options).ok
+    # nothing is shown to who sees no pictures, or where nobody is of a bank
+    assert run_suite(suite, "oracle", tmp_path / "blind").ok
+    nobody = Suite(suite.folder, suite.about, suite.episodes[:1])
+    assert run_suite(nobody, policy, tmp_path / "nobody", **options).ok

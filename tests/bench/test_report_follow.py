@@ -7,6 +7,7 @@ import csv
 import html
 import io
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -174,8 +175,8 @@ def test_the_report_has_following_beside_the_rest(run: Path) -> None:
     shapes = Shapes(text)
     assert sum(own == "strip" for _, own, _ in shapes.found) == 3
     assert sum(own == "person" for _, own, _ in shapes.found) == 6  # on the BEV and on the plan
-    rows = [given for tag, _, given in shapes.found if tag == "tr" and "data-rank" in given]
-    assert [given["data-outcome"] for given in rows] == ["failure", "success", "success", "success"]
+    assert outcomes_of(shapes, "tr") == ["success"]  # to a goal, in a table of their own
+    assert outcomes_of(shapes, "tbody") == ["failure", "success", "success"]
     assert "TR pooled" in text and "off the preferred distance" in text
     captions = re.findall("<caption>(Following by [^<]*)", text)
     assert [words.split(":")[0] for words in captions] == [
@@ -187,6 +188,49 @@ def test_the_report_has_following_beside_the_rest(run: Path) -> None:
     ends = {row["episode"]: row["follow_end"] for row in cells}
     assert sorted(ends.values()) == ["", "over", "over", "over"]
     assert {row["success"] for row in cells if row["follow_end"]} == {""}
+
+
+def outcomes_of(shapes: Shapes, tag: str) -> list[str | None]:
+    return [own["data-outcome"] for kind, _, own in shapes.found
+            if kind == tag and "data-rank" in own]  # fmt: skip
+
+
+def table_of(text: str, name: str) -> list[list[str]]:
+    """Rows of texts of a table of the page: its heads, then what each cell says first."""
+    (table,) = re.findall(rf'<table class="episodes" id="{name}">(.*?)</table>', text, re.DOTALL)
+    rows = []
+    for row in re.findall(r"<tr[ >](.*?)</tr>", table, re.DOTALL):
+        cells = re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)
+        rows.append([re.sub(r"<.*", "", cell, flags=re.DOTALL).strip() for cell in cells])
+    return rows
+
+
+def test_every_measure_stands_under_its_own_head(run: Path, tmp_path: Path) -> None:
+    text = write_report(run, tmp_path / "page.html", videos=0).read_text()
+    heads, *rows = table_of(text, "follow-table")
+    assert heads[4:] == ["TR", "distance", "bearing", "losses", "wrong", "steps"]
+    followed = [r.follow for r in load_results(run) if r.follow]
+    numbers = {tuple(row[4:]) for row in rows if len(row) == len(heads)}
+    assert numbers == {
+        (f"{100 * m.following_rate:.1f}", f"{m.distance_error:.2f}", f"{m.bearing:.0f}",
+         str(m.losses), f"{100 * m.wrong_person:.1f}", str(m.steps))
+        for m in followed
+    }  # fmt: skip
+    assert len(rows) == 2 * len(followed) == 6  # and a strip below each
+    heads, row = table_of(text, "episode-table")
+    assert heads[4:] == ["SPL", "NE geo", "TL", "nDTW", "steps", "cut"] and "" not in row[4:]
+
+
+def test_a_run_of_following_alone_has_no_heads_of_goals(run: Path, tmp_path: Path) -> None:
+    text = write_report(run, tmp_path / "page.html", videos=0).read_text()
+    alone = tmp_path / "run"
+    shutil.copytree(run, alone)
+    results = [r for r in load_results(run) if r.follow]
+    write_lines(alone / "results.jsonl", results)
+    page = write_report(alone, tmp_path / "alone.html", videos=0).read_text()
+    assert 'id="episode-table"' in text and "nDTW" in text
+    assert 'id="episode-table"' not in page and 'id="follow-table"' in page
+    assert 'data-sort="spl"' not in page and 'data-sort="ne"' not in page
 
 
 def test_the_terminal_has_a_row_for_each_measure(
@@ -222,6 +266,15 @@ def test_it_works_in_a_browser_and_runs_nobodys_script(run: Path, tmp_path: Path
   const said = { width: strip.getBoundingClientRect().width };
   const line = getComputedStyle(strip.querySelector(".distance"));
   said.line = line.strokeWidth; said.fill = line.fill;
+  const shown = () => Array.from(
+    document.querySelectorAll("#follow-table tbody"), (body) => Number(body.dataset.rate));
+  const head = document.querySelector('#follow-table th[data-sort="rate"]');
+  head.click(); said.up = shown();
+  head.click(); said.down = shown();
+  const pick = document.getElementById("pick-outcome");
+  pick.value = "failure"; pick.dispatchEvent(new Event("change"));
+  said.count = document.getElementById("count").textContent;
+  pick.value = ""; pick.dispatchEvent(new Event("change"));
   strip.dispatchEvent(new Event("click"));
   said.open = document.getElementById("closer").open;
   said.large = document.querySelectorAll("#stage svg.strip").length;
@@ -236,4 +289,6 @@ def test_it_works_in_a_browser_and_runs_nobodys_script(run: Path, tmp_path: Path
             browser.wait_for("document.querySelector('footer')")
             said: dict[str, Any] = msgspec.json.decode(str(browser.evaluate(script)))
         assert said["pwned"] == "" and said["open"] and said["large"] == 1 and said["maps"] == 3
+        assert said["up"] == sorted(said["up"]) == said["down"][::-1] and len(said["up"]) == 3
+        assert said["up"][0] < said["up"][-1] and said["count"] == "1 of 4"
         assert said["width"] > 300 and said["line"] == "2.2px" and said["fill"] == "none"

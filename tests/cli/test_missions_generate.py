@@ -96,6 +96,7 @@ def test_errors_name_what_to_do(home: Path, tmp_path: Path, capsys) -> None:
         (["--language", "parrot"], "no language provider 'parrot'"),
         (["--minimum-length", "90"], "not a single path was accepted"),
         (["--missions", "dance"], "--missions"),
+        (["--types", "dance"], "choose of goal, instruction, follow"),
     ):
         out = str(tmp_path / "out")
         assert main(["missions", "generate", str(home), *more, "--out", out]) == 2

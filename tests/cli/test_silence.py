@@ -164,3 +164,18 @@ def test_the_clock_ends_with_the_command(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_log_says_a_number_of_kernels_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A worker's cache may be touched for minutes without anything new in it."""
+    clock = iter(range(0, 1000, 10))
+    monkeypatch.setattr(console.time, "monotonic", lambda: float(next(clock)))
+    show = console._lines()
+    for kernels in (0, 3, 3, 3, 7, 7):
+        show(COMPILING, kernels, 0)
+        show("episodes", 0, 10)
+    lines = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
+    assert lines.count(f"{COMPILING}: 3 so far") == lines.count(f"{COMPILING}: 7 so far") == 1
+    assert lines.count("episodes: 0/10") == 6

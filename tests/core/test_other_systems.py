@@ -89,7 +89,7 @@ def test_one_drawing_process_says_that_it_needs_unix_sockets(tmp_path: Path) -> 
     done = run_pretended(
         """
 from gn0.errors import DeviceError
-from gn0.render.share.client import DrawConnection
+from gn0.render.share.connection import DrawConnection
 try:
     DrawConnection("@nobody")
 except DeviceError as error:

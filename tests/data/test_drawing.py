@@ -32,7 +32,8 @@ from gn0.errors import ConfigError, DataError, DeviceError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
-from gn0.render.share.client import DrawConnection, DrawServer
+from gn0.render.share.connection import DrawConnection
+from gn0.render.share.server_process import DrawServer
 from gn0.scenes.folder import load_scene
 from gn0.sim import presets
 from gn0.suites import scene_drawing

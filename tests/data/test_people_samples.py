@@ -19,6 +19,7 @@ import pytest
 from gn0.avatars.bank import digest_avatar
 from gn0.cli.main import main
 from gn0.data import part as part_module
+from gn0.data import part_pictures
 from gn0.data.balance import BalanceSettings, balance_dataset, load_selection
 from gn0.data.build import build_dataset, build_shard
 from gn0.data.dataset import Dataset, open_dataset
@@ -64,6 +65,7 @@ from gn0_trials.people_samples import (
     BODY,
     CAMERA,
     REFERENCE,
+    follow_episode,
     goal_episode,
     save_bank,
     save_peopled,
@@ -305,6 +307,10 @@ def test_labels_first_and_pictures_later_is_the_same(
 def test_the_process_that_draws_for_all_gives_the_same_bytes(
     suite: Suite, bank: Path, data: Dataset, files_of, tmp_path: Path, monkeypatch
 ) -> None:
+    def refuse(*args: object, **more: object) -> None:
+        raise AssertionError("a worker reads splats for boxes, which that process can tell")
+
+    monkeypatch.setattr(part_pictures, "open_simulator", refuse)
     monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu", "cuda"}))
     build_dataset(suite, tmp_path / "data", data.about.settings, bank=bank)
     assert files_of(tmp_path / "data") == files_of(data.folder)
@@ -542,6 +548,23 @@ def test_statistics_sheet_and_shards_tell_who_is_there(
     shard = next((data.folder / "pictures" / "webdataset").glob("*0001.tar"))
     text = shard.read_bytes().decode("latin-1")
     assert '"task":"TRACKING"' in text and '"person":5' in text and '"box":[' in text
+
+
+def test_statistics_of_follow_missions_alone_speak_of_what_there_is(
+    bank: Path, tmp_path: Path, capsys
+) -> None:
+    hashed = json.loads((bank / "bank.json").read_text())["hash"]
+    alone = save_some(tmp_path / "suite", follow_episode(hashed))
+    build_dataset(alone, tmp_path / "data", settings_of("none"), bank=bank)
+    assert main(["data", "stats", str(tmp_path / "data"), "--sheets", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "12 samples, 1 episode, 1 path, 1 scene;" in said and "1 person followed" in said
+    page = (tmp_path / "data" / "stats.html").read_text()
+    assert "12 samples of 1 walked episode on 1 path in 1 scene." in page
+    assert "oal categor" not in page and ">Goals and words<" not in page
+    assert "1 different instruction, 4 different words" in page
+    (scene,) = measure_dataset(open_dataset(tmp_path / "data"))[0].scenes
+    assert scene.detour == 1.0  # to where the agent ends, not to where the person does
 
 
 def test_files_of_another_day_are_read_as_before(data: Dataset) -> None:

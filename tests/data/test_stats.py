@@ -122,4 +122,4 @@ def test_the_page_runs_nothing_and_shows_names_as_text(
     plain = unescape(render_stats(stats, coverage))
     assert "default-src 'none'" in plain and "walks" in plain and "not balanced" in plain.lower()
     many = render_stats(stats, coverage * 25)  # 24 are shown
-    assert "and 1 more scenes" in many and "more scenes" not in plain
+    assert "and 1 more scene<" in many and "more scene" not in plain

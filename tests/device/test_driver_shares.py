@@ -19,7 +19,8 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.depth import to_millimetres
 from gn0.render.encoding import Encode
 from gn0.render.renderer import DrawnScene
-from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.share.client import RendererShared
+from gn0.render.share.connection import DrawConnection
 from gn0.render.share.server import Server, open_listener
 from gn0.testing.renderer_check import random_cloud
 

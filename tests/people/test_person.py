@@ -7,12 +7,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from gn0.errors import EpisodeError, FormatError
+from gn0.avatars.motion import standing
+from gn0.avatars.motion.library import STAYING
+from gn0.errors import ConfigError, EpisodeError, FormatError
 from gn0.missions.episode import Episode, MissionGoal, check_episode
 from gn0.missions.episode_files import episodes_digest_bytes, load_episodes, save_episodes
 from gn0.missions.people import check_people_walls
-from gn0.people.person import EpisodePerson, PersonStop, check_people
+from gn0.people.person import SEATS, EpisodePerson, PersonStop, check_people
 from gn0.people.planning import blocked_at
+from gn0.people.settings import PeopleSettings
 from gn0.testing.scenes import build_room_scene
 
 WAY = ((1.0, 1.0), (3.0, 1.0))
@@ -53,6 +56,13 @@ def episode(*people: EpisodePerson) -> Episode:
         ({"stops": (PersonStop(at=1.0, seconds=1), PersonStop(at=0.5, seconds=1))}, "stop 2"),
         ({"stops": (PersonStop(at=9.0, seconds=1.0),)}, "stop 1"),
         ({"o_space": (0.0, 0.0, -1.0)}, "o_space"),
+        ({"yaw": float("inf")}, "yaw"),
+        ({"seat": 0.75}, "seat"),
+        ({"seat": 0.25}, "seat"),
+        ({"behaviour": "stand", "path": WAY[:1], "clip": "fly"}, "clip"),
+        ({"behaviour": "stand", "path": WAY[:1], "clip": "run"}, "clip"),
+        ({"behaviour": "sit", "path": WAY[:1], "clip": "wave"}, "clip"),
+        ({"clip": "wave"}, "clip"),
     ],
 )
 def test_a_record_without_meaning_is_named_by_its_field(bad: dict, field: str) -> None:
@@ -60,6 +70,30 @@ def test_a_record_without_meaning_is_named_by_its_field(bad: dict, field: str) -
         person(**bad)
     assert field in caught.value.where and caught.value.remedy.startswith("give ")
     assert not caught.value.remedy.startswith(("give time", "give begin"))  # it is a sentence
+
+
+def test_seats_and_clips_are_those_that_pictures_have() -> None:
+    assert (min(SEATS), max(SEATS)) == standing.SEATS
+    for clip in STAYING:
+        assert person(behaviour="stand", path=WAY[:1], clip=clip).clip == clip
+    assert person(behaviour="sit", path=WAY[:1], clip="sit", seat=SEATS[1]).seat == 0.65
+
+
+@pytest.mark.parametrize(
+    ("bad", "where"),
+    [
+        ({"count": 17}, "people.count"),
+        ({"groups": 2.0}, "people.groups"),
+        ({"seated": -0.1}, "people.seated"),
+        ({"from_start": 0.2}, "people.from_start"),
+        ({"speeds": (0.1, 1.0)}, "people.speeds"),
+        ({"stops": 9}, "people.stops"),
+    ],
+)
+def test_settings_without_meaning_are_named_by_their_field(bad: dict, where: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        PeopleSettings(**bad)
+    assert caught.value.where == where and caught.value.remedy
 
 
 def test_people_who_cannot_be_together() -> None:

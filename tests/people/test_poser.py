@@ -22,8 +22,9 @@ from gn0.people.poser import PeoplePoser, PosedThere
 from gn0.render import Camera
 from gn0.render.open import open_renderer
 from gn0.render.renderer import DrawnScene
-from gn0.render.share import client
-from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.share import connection
+from gn0.render.share.client import RendererShared
+from gn0.render.share.connection import DrawConnection
 from gn0.render.share.messages import Draw
 from gn0.render.share.parts import PartRows, Posed
 from gn0.render.share.request import Connection, Request
@@ -108,8 +109,10 @@ def test_workers_see_the_bytes_that_they_would_draw_and_send_no_splats(
     bank: Path, serving: Serving, alone: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[msgspec.Struct] = []
-    send = client.send_message
-    monkeypatch.setattr(client, "send_message", lambda s, m, *f: (sent.append(m), send(s, m, *f)))
+    send = connection.send_message
+    monkeypatch.setattr(
+        connection, "send_message", lambda s, m, *f: (sent.append(m), send(s, m, *f))
+    )
     found: dict[int, list[bytes]] = {}
 
     def work(number: int) -> None:
@@ -128,6 +131,20 @@ def test_workers_see_the_bytes_that_they_would_draw_and_send_no_splats(
     assert "Cloud" not in kinds and kinds.count("Player") == 4  # once a worker and person
     draws = [len(msgspec.msgpack.encode(message)) for message in sent if hasattr(message, "views")]
     assert max(draws) < STEPS * (128 + 2 * 300)  # views, and of each person pose, gain and key
+
+
+def test_who_is_who_is_told_of_people_who_are_posed_there(bank: Path, serving: Serving) -> None:
+    renderer = open_renderer("cpu")
+    renderer.keep("flat", FLAT.gaussians)
+    view = view_from_pose(EYE.x, EYE.y, 1.2, EYE.yaw)
+    told = []
+    for drawn in (DrawnScene(renderer, "flat"), serving.open()):
+        eyes = PeopleEyes(FLAT, drawn, bank)
+        parts = eyes.show_many([eyes.want(walk(k), EYE, CAMERA.fx) for k in range(STEPS)])
+        told.append(drawn.render_who(CAMERA, np.stack([view] * STEPS), parts))
+    assert isinstance(eyes.posed, PosedThere)
+    assert (told[0].numbers == told[1].numbers).all() and told[0].seen == told[1].seen
+    assert any(seen.box is not None for row in told[0].seen for seen in row)
 
 
 @pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")

@@ -255,6 +255,14 @@ def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> N
         open_device_env(episodes, bank, preset, final_pictures=True)
     with pytest.raises(EpisodeError, match="bank of people"):
         open_device_env(episodes, None, preset)
+    with pytest.raises(ConfigError, match="'bev_live' is painted on the CPU alone") as told:
+        VectorEnvDevice(1, FLAT, episodes=episodes, device="host", sensors=("bev_live",))
+    for works in ("VectorEnv", "'bev'", "'who'", "'people_seen'"):
+        assert works in told.value.remedy
+    with pytest.raises(ConfigError, match="maps that agents make for themselves"):
+        VectorEnvDevice(
+            1, FLAT, episodes=episodes, device="host", sensors=("bev",), map_mode="explored"
+        )
     alone = open_device_env(episodes[2:], bank, preset, count=1)
     with pytest.raises(EpisodeError, match=r"'one'.*no episode had any"):
         alone.reset(options={"episode": episodes[1]})

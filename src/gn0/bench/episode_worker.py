@@ -49,7 +49,8 @@ from gn0.missions.follow_rules import FollowRules, follow_rules
 from gn0.missions.generate.follow_sight import sight_grid
 from gn0.plugins import build_plugin, describe_error, get_plugin
 from gn0.render.open import name_drawing
-from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.share.client import RendererShared
+from gn0.render.share.connection import DrawConnection
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import (
     SLOT_VARIABLE,

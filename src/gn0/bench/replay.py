@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 
 from gn0.bench.episode_worker import EpisodeWorker
+from gn0.bench.follow_trace import FollowTrace
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import (
@@ -29,10 +30,12 @@ from gn0.bench.results import (
     encode_line,
     recorded_actions,
 )
+from gn0.bench.run_bank import check_bank
 from gn0.bench.run_settings import HIDDEN, build_settings
 from gn0.bench.runner import run_suite
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError, Gn0Error, brief
+from gn0.missions.episode import MissionFollow
 from gn0.plugins import SECRETS, describe_error
 from gn0.progress import Progress, no_progress
 from gn0.render.renderer import VISIBLE_BACKENDS
@@ -82,6 +85,7 @@ class Replay:
         recorded_code, code: which code recorded it, which replayed it.
         recorded_backend, recorded_versions: renderer and libraries of the recorded run.
         agreed: episodes that are equal to the byte.
+        touches: (episode, touches of people in it) of those that people are in.
         unscored: episodes that failed when they were recorded, so that there is nothing to drive.
         partings: the differences, one an episode and file, in order of episodes.
         notes: what else there is to say.
@@ -94,6 +98,7 @@ class Replay:
     recorded_backend: str
     recorded_versions: Mapping[str, str]
     agreed: int
+    touches: tuple[tuple[str, int], ...] = ()
     unscored: tuple[str, ...] = ()
     partings: tuple[Parting, ...] = ()
     notes: tuple[str, ...] = ()
@@ -114,6 +119,8 @@ class Replay:
         lines += self.notes
         if self.unscored:
             lines.append(f"{len(self.unscored)} episodes failed when recorded: nothing to drive")
+        if self.touches:
+            lines.append(_tell_touches(self.touches))
         lines += [f"differs at {parting}" for parting in self.partings[:SHOWN]]
         if len(self.partings) > SHOWN:
             lines.append(f"... and {len(self.partings) - SHOWN} more")
@@ -160,6 +167,7 @@ def replay_run(
     run: Path | str,
     suite: Path | str | None = None,
     *,
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Replay:
     """Drive a run's recorded actions again and compare.
@@ -167,13 +175,21 @@ def replay_run(
     Args:
         run: results folder.
         suite: its suite, if it was not run from here.
+        bank: folder of the bank of people whom episodes name; needed where one is followed.
         progress: progress sink.
 
     Raises:
         BenchError: the suite is not known here, or another one was given.
+        EpisodeError: people are of another bank, or of one that was not given.
         StorageError, FormatError: a file is missing or damaged.
     """
     data, home, settings = _open_run(run, suite)
+    told = {result.episode for result in data.results}
+    follows = [e for e in home.episodes if e.id in told and isinstance(e.mission, MissionFollow)]
+    if follows or bank is not None:  # who is followed is judged by pictures
+        check_bank(follows, bank)
+    if bank is not None:
+        settings = msgspec.structs.replace(settings, bank=str(Path(bank).resolve()))
     policy = PolicyReplay(str(data.summary.policy))
     worker = EpisodeWorker(settings, policy)
     episodes = {episode.id: episode for episode in home.episodes}
@@ -221,6 +237,7 @@ def rerun_policy(
     workers: int = 1,
     policy_options: Mapping[str, Any] | None = None,
     plugin_modules: Sequence[str] = (),
+    bank: Path | str | None = None,
     progress: Progress = no_progress,
 ) -> Replay:
     """Run the policy itself again, in a scratch folder, and compare.
@@ -232,6 +249,7 @@ def rerun_policy(
         workers: processes.
         policy_options: options of the policy.
         plugin_modules: modules to import first.
+        bank: folder of the bank of people whom episodes name.
         progress: progress sink.
 
     Raises:
@@ -257,6 +275,7 @@ def rerun_policy(
             plugin_modules=plugin_modules,
             max_episodes=data.summary.expected,
             backend=settings.backend,
+            bank=bank,
             progress=progress,
         )
         again = load_run(scratch)
@@ -320,6 +339,27 @@ def _failed(recorded: EpisodeResult) -> EpisodeResult:
     )
 
 
+def _count_touches(data: RunData) -> Iterator[tuple[str, int]]:
+    """How often the agent touched people, of each recorded episode with some."""
+    for result in sorted(data.results, key=lambda r: r.episode):
+        follow = data.traces[result.episode].follow if result.episode in data.traces else None
+        if isinstance(follow, FollowTrace):
+            yield result.episode, len(follow.hits)
+        elif isinstance(result.touches, int):
+            yield result.episode, result.touches
+
+
+def _tell_touches(touches: Sequence[tuple[str, int]]) -> str:
+    """In how many episodes people were touched, and in which."""
+    met = [f"{episode} {count}" for episode, count in touches if count]
+    told = f": {', '.join(met[:SHOWN])}{' …' if len(met) > SHOWN else ''}" if met else ""
+    total = sum(count for _, count in touches)
+    return (
+        f"people touched {total} time{'' if total == 1 else 's'}, in {len(met)} of "
+        f"{len(touches)} episode{'' if len(touches) == 1 else 's'} with people{told}"
+    )
+
+
 def _conclude(
     data: RunData,
     suite: Suite,
@@ -340,6 +380,7 @@ def _conclude(
         if isinstance(versions, dict)
         else {},
         agreed=sum(r.episode not in apart for r in data.results),
+        touches=tuple(_count_touches(data)),
         unscored=tuple(unscored),
         partings=tuple(sorted(partings, key=lambda p: (not p.episode, p.episode, p.file))),
         notes=tuple(notes),

@@ -33,9 +33,7 @@ from gn0.bench.metrics import METRICS, TOUCHED
 from gn0.bench.people_replay import PeopleReplay
 from gn0.bench.release_score import SIDE_BY_SIDE
 from gn0.bench.report_follow import (
-    END_WORDS,
     distance_strip,
-    follow_line,
     tell_end,
     track_marks,
 )
@@ -61,7 +59,7 @@ from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
 from gn0.config import load_json
 from gn0.errors import BenchError, Gn0Error, brief
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import follow_rules
 from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture, render_bev
@@ -282,6 +280,7 @@ def _render(
             for number, run in enumerate(runs)
         ],
         metrics=columns,
+        touches=among,
         follow_metrics=FOLLOW_METRICS,
         follow_split=_follow_tables(runs, episodes),
         groups=[
@@ -432,7 +431,7 @@ def _row(
     m = result.metrics
     success = result.success
     outcome = result.status if success is None else ("success" if success else "failure")
-    follow = _follow_row(suite, art.window, episode, result, trace)
+    follow = _follow_row(suite, art.window, episode, trace)
     path = np.array(trace.poses, np.float64).reshape(-1, 3)[:, :2]
     return {
         "episode": episode.id,
@@ -444,6 +443,9 @@ def _row(
         "rank": {"failed": 0, "invalid": 1, "failure": 2, "success": 3}[outcome],
         "reason": result.reason or _explain(result),
         "metrics": m,
+        "follows": follow is not None or isinstance(episode.mission, MissionFollow),
+        "scored": result.follow if isinstance(result.follow, FollowMetrics) else None,
+        "touches": result.touches if isinstance(result.touches, int) else None,
         "follow": follow,
         "view": fit_view(
             art.window,
@@ -470,7 +472,7 @@ def _row(
 
 
 def _follow_row(
-    suite: Suite, window: MapWindow, episode: Episode, result: EpisodeResult, trace: EpisodeTrace
+    suite: Suite, window: MapWindow, episode: Episode, trace: EpisodeTrace
 ) -> dict[str, Any] | None:
     """What the template shows of an episode of following; None of any other."""
     record = trace.follow_record()
@@ -480,14 +482,10 @@ def _follow_row(
     rules = follow_rules(about.profile)
     rules = msgspec.structs.replace(rules, max_steps=min(rules.max_steps, about.max_steps))
     steps = score_steps(record, rules)
-    scored = result.follow if isinstance(result.follow, FollowMetrics) else None
     return {
         "marks": track_marks(window, record, steps),
         "places": np.vstack([record.poses[:, :2], record.people[record.target]]),
         "strip": distance_strip(record, steps, rules, title=f"distance over time: {episode.id}"),
-        "line": "" if scored is None else follow_line(scored),
-        "scored": scored,
-        "end": END_WORDS[steps.end],
     }
 
 

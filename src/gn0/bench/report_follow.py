@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from gn0.bench.follow_metrics import FollowMetrics, FollowSteps
+from gn0.bench.follow_metrics import FollowSteps
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.report_maps import MapWindow, simplify
 from gn0.geometry import F64
@@ -165,21 +165,6 @@ def distance_strip(
     end = END_WORDS[steps.end] + (": success" if steps.success else "")
     parts.append(f'<text class="verdict" x="{X1}" y="13">{end}</text>')
     return Markup("".join([*parts, "</svg>"]))  # noqa: S704 (numbers, and a title escaped above)
-
-
-def follow_line(m: FollowMetrics) -> str:
-    """An episode's numbers in one line of words."""
-    parts = [
-        f"followed {m.following_rate:.1%} of {max(m.steps, m.reference_steps)} steps",
-        f"{m.distance_error:.2f} m off the preferred distance",
-        f"person {m.bearing:.0f}° off the heading",
-    ]
-    if m.first_loss is not None:
-        count = "1 loss" if m.losses == 1 else f"{m.losses} losses"
-        parts.append(f"{count}, the first at {m.first_loss:.1f} s, {m.recoveries} made good")
-    if m.wrong_person > 0:
-        parts.append(f"{m.wrong_person:.1%} behind somebody else")
-    return "; ".join(parts)
 
 
 def _frame(ceiling: float, span: float, across: _Scale, up: _Scale) -> Iterator[str]:

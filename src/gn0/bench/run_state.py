@@ -29,14 +29,18 @@ from gn0.bench.results import (
     iterate_results,
     report_release,
 )
+from gn0.bench.run_bank import check_bank
 from gn0.bench.run_session import stamp_now, tell_earlier
 from gn0.bench.run_settings import describe_settings, list_versions
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError
 from gn0.missions.episode import Episode
+from gn0.people.person import drawn_identity
 from gn0.progress import Progress
+from gn0.sim.sensor.table import sensor_names
 from gn0.storage import TEMPORARY_PREFIX, Journal, write_json
 from gn0.suites.run_files import RESULTS, RUN, SUMMARY, TRAJECTORIES
+from gn0.suites.scene_drawing import needs_renderer
 from gn0.suites.suite import Suite
 from gn0.suites.track import judge_policy
 
@@ -79,6 +83,7 @@ class RunState:
         progress: Progress,
         keep_failed: bool = False,
         agents: int = 1,
+        shows: bool = True,
         tell: Callable[[str], None] = _no_words,
     ) -> None:
         self.out = out
@@ -98,6 +103,7 @@ class RunState:
         self.confirmed = False  # whether the card was seen in this session
         self.attempts: dict[str, int] = {}  # of episodes without a result
         self.agents = agents
+        self._shows = shows  # whether people of its bank, if any, were found
         self._read_journal()
 
     def _read_journal(self) -> None:
@@ -119,7 +125,7 @@ class RunState:
                 f"holds a run of another {what} ({head.get(name) or 'none'}, now "
                 f"{self.identity[name] or 'none'})",
                 where=self.out,
-                remedy=_RESUME,
+                remedy=f"give --bank as before; or {_RESUME}" if self._lacks_bank else _RESUME,
             )
         for number, (place, record) in enumerate(self.journal.scan(), 1):
             try:
@@ -131,6 +137,12 @@ class RunState:
                     where=self.out / JOURNAL,
                     remedy=_RESUME,
                 ) from None
+
+    @property
+    def _lacks_bank(self) -> bool:
+        """Whether people of a bank are about and none was given: an earlier run may have had it."""
+        people = (person for episode in self.episodes for person in episode.people)
+        return not self._shows and any(drawn_identity(p.identity) is None for p in people)
 
     def _is_barren(self, others: Sequence[str]) -> bool:
         """Whether a run that differs in `others` never got anywhere: a server that was down."""
@@ -187,6 +199,7 @@ class RunState:
 
         Raises:
             BenchError: it is not the policy of this run.
+            EpisodeError: it sees pictures, and people in them are of a bank that was not given.
         """
         name, before = self.identity["policy"], self.card
         if card.source != self.identity["source"]:
@@ -204,6 +217,10 @@ class RunState:
                 where=self.out,
                 remedy=_RESUME,
             )
+        carried = set(card.sensors) & set(sensor_names())  # a card may name more than sensors
+        if not self._shows and needs_renderer(carried, self.suite.map_mode):
+            check_bank(self.episodes, None)
+        self._shows = True
         if card != before and not known:
             self.card = card
             self.journal.append({"type": "policy", "card": msgspec.to_builtins(card)})

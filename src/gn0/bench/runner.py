@@ -22,6 +22,7 @@ from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.results import (
     RunSummary,
 )
+from gn0.bench.run_bank import check_bank
 from gn0.bench.run_session import ask_card, check_name
 from gn0.bench.run_settings import build_settings
 from gn0.bench.run_state import RunState, forget_run, sweep_run
@@ -37,7 +38,12 @@ from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.suites.known_suites import remember_suite
 from gn0.suites.run_files import BYTES_PER_EPISODE
-from gn0.suites.scene_drawing import choose_run_backend, find_agents_card, open_run_drawing
+from gn0.suites.scene_drawing import (
+    choose_run_backend,
+    find_agents_card,
+    open_run_drawing,
+    sees_pictures,
+)
 from gn0.suites.suite import Suite, load_suite_scene
 
 EPISODE_TIME_LIMIT = 300.0  # s
@@ -116,7 +122,7 @@ def run_suite(
             behind the same name), is in use, or the policy cannot be built.
         ConfigError: no such policy or control, or an invalid name.
         EpisodeError: people of episodes are of another bank, or of one that was not given where
-            pictures of them are judged.
+            the policy sees pictures, or where they are judged.
         StorageError: `out` cannot be written, or the disk is full.
         KeyboardInterrupt: after all workers have ended; the same command resumes.
     """
@@ -134,7 +140,8 @@ def run_suite(
     known = check_control(control)
     episodes = choose_episodes(suite, max_episodes, known)
     judged = any(isinstance(episode.mission, MissionFollow) for episode in episodes)
-    shown = check_bank(episodes, bank) if judged or bank is not None else ""
+    shows = judged or sees_pictures(policy_name, suite.map_mode, isolated=isolate) is True
+    shown = check_bank(episodes, bank) if shows or bank is not None else ""
     out = Path(out)
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
@@ -173,6 +180,7 @@ def run_suite(
             progress=progress,
             keep_failed=keep_failed,
             agents=agents,
+            shows=shows or bank is not None,
             tell=tell,
         )
         remember_suite(suite.hash, suite.folder)
@@ -214,24 +222,6 @@ def choose_episodes(
     if max_episodes is not None and max_episodes < 1:
         raise BenchError(f"max_episodes is {max_episodes}", remedy="give at least 1")
     return replace_texts(suite.episodes, control)[:max_episodes]
-
-
-def check_bank(episodes: Sequence[Episode], bank: Path | str | None) -> str:
-    """Whether a bank has the people of episodes, found out before anything runs.
-
-    Returns:
-        Its content hash; "" without one.
-
-    Raises:
-        EpisodeError: it is another one than they say, or has nobody of a name, or none was given.
-        StorageError, FormatError: it cannot be read.
-    """
-    from gn0.people.cast import Cast  # bodies are needed only where there are people
-
-    cast = Cast(bank)
-    for episode in episodes:
-        cast.check(episode.people, f"episode {episode.id!r}")
-    return "" if cast.bank is None else cast.bank.content_hash
 
 
 def _check_scenes(suite: Suite, episodes: Sequence[Episode], progress: Progress) -> None:

@@ -26,6 +26,7 @@ class Args(Config, frozen=True):
     Attributes:
         run: a run folder, as written by `gn0 bench run`.
         suite: its suite, if it was not run from here.
+        bank: folder of the bank of people whom episodes name; drawn people need none.
         policy: ask this policy again instead of taking the recorded actions.
         policy_option: an option of the policy as NAME=VALUE; may be given several times.
         plugin: modules to import first, with --policy.
@@ -34,6 +35,7 @@ class Args(Config, frozen=True):
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     suite: str = ""
+    bank: str = ""
     policy: str = ""
     policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     plugin: tuple[str, ...] = ()
@@ -61,9 +63,10 @@ def run(args: Args) -> int:
                 workers=args.workers,
                 policy_options=read_options(args.policy_option),
                 plugin_modules=args.plugin,
+                bank=args.bank or None,
                 progress=progress,
             )
         else:
-            replay = replay_run(args.run, suite, progress=progress)
+            replay = replay_run(args.run, suite, bank=args.bank or None, progress=progress)
     print(plain_text(str(replay), lines=True))
     return 0 if replay.ok else 1

@@ -167,8 +167,12 @@ def _draw_bars(begun: str) -> Iterator[Progress]:
 def _lines() -> Progress:
     last: dict[str, float] = {}
     first: dict[str, tuple[float, int]] = {}
+    compiled = 0  # kernels, as was said last
 
     def show(stage: str, done: int, total: int) -> None:
+        nonlocal compiled
+        if stage == COMPILING and 0 < done == compiled:
+            return  # no news: the step that waits says that it goes on
         now = time.monotonic()
         begin, before = first.setdefault(stage, (now, done))
         if done < before:  # the step begins again
@@ -179,6 +183,7 @@ def _lines() -> Progress:
             line = f"{stage}: {done}/{total or '?'}"
             if stage == COMPILING:
                 line = f"{stage}: {done} so far" if done else stage
+                compiled = done
             if now > begin and done > before:
                 line += f", {(done - before) / (now - begin):.3g}/s"
             print(line, file=sys.stderr, flush=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import msgspec
 import tyro
@@ -160,7 +160,7 @@ def read_settings(args: Args) -> MissionSettings:
         StorageError, FormatError: the spec cannot be read.
     """
     from gn0.errors import ConfigError
-    from gn0.missions.generate.settings import MissionSettings, load_settings
+    from gn0.missions.generate.settings import MissionKind, MissionSettings, load_settings
 
     settings = load_settings(args.spec) if args.spec else MissionSettings()
     plain: dict[str, Any] = msgspec.to_builtins(settings)
@@ -192,7 +192,9 @@ def read_settings(args: Args) -> MissionSettings:
         what, _, field = str(error).partition(" - at `$.")
         name = field.rstrip("`").split("[")[0].split(".")[-1].replace("_", "-")
         flag = f"--{name}" if name else "settings"
-        raise ConfigError(what, where=flag, remedy="see `gn0 missions generate --help`") from None
+        kinds = f"choose of {', '.join(get_args(MissionKind))}" if flag == "--missions" else ""
+        remedy = kinds or "see `gn0 missions generate --help`"
+        raise ConfigError(what, where=flag, remedy=remedy) from None
 
 
 def read_options(given: Sequence[str]) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def _print_table(summaries: Sequence[RunSummary], title: str) -> None:
         )
     if title:
         print(f"\n  {plain_text(title)}")
-    Console(width=max(116, Console().width), highlight=False).print(table)
+    Console(width=max(128 if among else 116, Console().width), highlight=False).print(table)
 
 
 def _print_following(summaries: Sequence[RunSummary], title: str) -> None:

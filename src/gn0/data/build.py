@@ -57,7 +57,7 @@ from gn0.locked_folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
 from gn0.missions.episode import Episode
 from gn0.people.person import drawn_identity
 from gn0.progress import Progress, no_progress
-from gn0.render.share.client import DrawServer
+from gn0.render.share.server_process import DrawServer
 from gn0.storage import (
     TEMPORARY_PREFIX,
     folder_atomic,

@@ -278,7 +278,9 @@ def _measure_scene(
     near[:, 1:] |= visits[:, :-1] > 0
     near[:, :-1] |= visits[:, 1:] > 0
     standable = ground > 0
-    straight = [math.dist(e.start[:2], e.goal) for e in episodes]
+    # behind a person the path ends before the person does
+    ends = [e.path[-1] if isinstance(e.mission, MissionFollow) else e.goal for e in episodes]
+    straight = [math.dist(e.start[:2], end) for e, end in zip(episodes, ends, strict=True)]
     walked = [path_length(e) for e in episodes]
     detour = [a / b for a, b in zip(walked, straight, strict=True) if b > 0.5]
     source = f"{scene.source.kind} {scene.source.detail}"

@@ -14,7 +14,7 @@ from gn0.errors import ConfigError, DataError, Gn0Error
 from gn0.jobs import ExecutorName
 from gn0.jobs.process import count_cores
 from gn0.render.open import choose_backend
-from gn0.render.share.client import DrawServer
+from gn0.render.share.server_process import DrawServer
 from gn0.suites import scene_drawing
 
 MOST_WORKERS = 64

@@ -36,7 +36,7 @@ from gn0.storage import safe_join, write_bytes
 
 if TYPE_CHECKING:
     from gn0.data.picture_cache import DrawnStep
-    from gn0.render.share.client import DrawServer
+    from gn0.render.share.server_process import DrawServer
 
 
 class PartPlan(msgspec.Struct, frozen=True):

@@ -35,7 +35,8 @@ from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.encoding import MapPicture
 from gn0.render.light import LightCondition
 from gn0.render.renderer import DrawnScene
-from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.share.client import RendererShared
+from gn0.render.share.connection import DrawConnection
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
@@ -127,7 +128,7 @@ class Eyes:
         assert crowd is not None and self._suite is not None and self._people is not None
         if self._witness is None:
             suite, people = self._suite, self._people
-            if self._connection is not None or self.settings.drawn_by != "cpu":
+            if self.settings.drawn_by != "cpu":  # the drawing process tells what this one would
                 about, scene_id = self.dataset.about, episode.scene_id
                 suite = open_simulator(
                     self.dataset.scene(scene_id), about.camera, "cpu", {"rgb"}, about.agent,

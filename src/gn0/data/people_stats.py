@@ -141,12 +141,18 @@ def read_record(identity: str, bank: AvatarBank | None) -> dict[str, str]:
     return dict(bank.entry(identity).record)
 
 
+def count_of(number: int, one: str, many: str = "") -> str:
+    """A number with its noun: "1 path", "1,200 paths"; `many` where an s will not do."""
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
+
+
 def describe_people(stats: PeopleStats) -> str:
     """The numbers in a few lines of plain words."""
     count, told = sum(stats.episodes.values()), ", ".join
     lines = [
-        f"people: {stats.identities} identities in {count} episodes, {stats.keywords} words of "
-        f"their records; {stats.peopled:.1f} % of the samples have somebody about",
+        f"people: {count_of(stats.identities, 'identity', 'identities')} in "
+        f"{count_of(count, 'episode')}, {count_of(stats.keywords, 'word')} of their records; "
+        f"{stats.peopled:.1f} % of the samples have somebody about",
         f"tasks: {told(f'{k} {v:,}' for k, v in stats.tasks.items())}; static "
         f"{100 - stats.dynamic:.1f} %, dynamic {stats.dynamic:.1f} %",
         f"clips: {told(f'{k} {v:,}' for k, v in stats.clips.items())}",
@@ -154,7 +160,8 @@ def describe_people(stats: PeopleStats) -> str:
     if stats.levels:
         lines.append(
             f"follow missions: {told(f'{k} {v}' for k, v in stats.categories.items())}; "
-            f"{told(f'{k} {v}' for k, v in stats.levels.items())}; {stats.followed} people followed"
+            f"{told(f'{k} {v}' for k, v in stats.levels.items())}; "
+            f"{count_of(stats.followed, 'person', 'people')} followed"
         )
     if stats.in_view:
         lines.append(

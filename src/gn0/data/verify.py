@@ -35,7 +35,7 @@ from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.jobs.process import count_cores
 from gn0.progress import Progress, no_progress
-from gn0.render.share.client import DrawServer
+from gn0.render.share.server_process import DrawServer
 from gn0.storage import read_bytes, safe_join, storage_error
 
 Kind = Literal["source", "samples", "cache", "journal"]

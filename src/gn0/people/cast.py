@@ -144,23 +144,26 @@ class Cast:
                     raise EpisodeError(error.what, where=place, remedy=error.remedy) from None
                 continue
             if self.bank is None:
+                which = f" of hash {person.bank}" if person.bank else ""
                 raise EpisodeError(
                     f"{person.identity!r} is of a bank of people, and none was given",
                     where=place,
-                    remedy="give bank= (--bank), or people of identities drawn:SEED:NUMBER",
+                    remedy=f"give the folder of the bank{which} (--bank, in Python bank=), or "
+                    "people of identities drawn:SEED:NUMBER",
                 )
             if person.bank and person.bank != self.bank.content_hash:
                 raise EpisodeError(
                     f"{person.identity!r} is of bank {person.bank}, this is "
                     f"{self.bank.content_hash}",
                     where=place,
-                    remedy="give the bank that the episodes were made with",
+                    remedy=f"give the bank that they were made with, not {self.bank.folder}",
                 )
             if person.identity not in self.bank.names:
                 raise EpisodeError(
-                    f"nobody is called {person.identity!r}",
+                    f"nobody is called {person.identity!r} in {self.bank.folder}",
                     where=place,
-                    remedy=f"choose one of {', '.join(self.bank.names[:6])} …",
+                    remedy=f"choose one of {', '.join(self.bank.names[:6])}"
+                    + (" …" if len(self.bank.names) > 6 else ""),
                 )
 
     def find(self, identity: str) -> Actor:

@@ -20,6 +20,7 @@ PEOPLE_MOST = 16  # in one episode: as many as one picture may show
 RADIUS = 0.25  # m, of the disc that a person is to whoever walks
 WALL_DISTANCE = 0.30  # m, of a person's centre from walls
 SPEEDS = (0.4, 1.6)  # m/s
+SEATS = (0.30, 0.65)  # m, heights that clips of sitting are made for: `avatars.motion.standing`
 _POINTS_MOST, _STOPS_MOST = 4096, 64
 _LONGEST_STOP = 3600.0  # s
 _FARTHEST = 1e6  # m from the origin, far beyond any scene; squares of it stay finite
@@ -118,14 +119,27 @@ class EpisodePerson(
             raise _fault(
                 where, "speed", f"is {brief(self.speed)} m/s", f"{SPEEDS[0]} to {SPEEDS[1]} m/s"
             )
-        if not (math.isfinite(self.yaw) and 0.2 <= self.seat <= 0.8):
-            raise _fault(where, "yaw or seat", "has no meaning", "radians; 0.2 to 0.8 m")
+        if not math.isfinite(self.yaw):
+            raise _fault(where, "yaw", f"is {brief(self.yaw)}", "radians")
+        if not SEATS[0] <= self.seat <= SEATS[1]:
+            give = f"{SEATS[0]} to {SEATS[1]} m"
+            raise _fault(where, "seat", f"is {brief(self.seat)} m high", give)
+        if self.clip:
+            self._check_clip(where)
         self._check_path(where)
         self._check_stops(where)
         if self.o_space is not None and not (
             all(map(math.isfinite, self.o_space)) and 0 < self.o_space[2] <= 5
         ):
             raise _fault(where, "o_space", "has no meaning", "x, y and a radius up to 5 m")
+
+    def _check_clip(self, where: str) -> None:
+        from gn0.avatars.motion.library import STAYING  # few people have one
+
+        known = {"stand": STAYING, "sit": ("sit",)}.get(self.behaviour, ())
+        if self.clip not in known:
+            give = f"one of {', '.join(known)}" if known else "clips to who stands"
+            raise _fault(where, "clip", f"is {brief(self.clip)}", give)
 
     def _check_path(self, where: str) -> None:
         count = len(self.path)

@@ -45,10 +45,18 @@ class PeopleSettings(Config, frozen=True):
             raise ConfigError(
                 f"{self.variety} different people", where="people.variety", remedy="1 to 10,000"
             )
-        if not (0 <= self.groups <= 1 and 0 <= self.seated <= 1 and self.from_start >= 0.5):
-            raise ConfigError("shares are 0 to 1, the distance at least 0.5 m", where="people")
-        if not 0.4 <= self.speeds[0] <= self.speeds[1] <= 1.6 or not 0 <= self.stops <= 8:
+        for name, share in (("groups", self.groups), ("seated", self.seated)):
+            if not 0 <= share <= 1:
+                raise ConfigError(
+                    f"is a share of {share:g}", where=f"people.{name}", remedy="give 0 to 1"
+                )
+        if not self.from_start >= 0.5:
             raise ConfigError(
-                f"speeds {self.speeds} m/s, {self.stops} stops", where="people",
-                remedy="speeds within 0.4 and 1.6 m/s, 0 to 8 stops",
-            )  # fmt: skip
+                f"is {self.from_start:g} m", where="people.from_start", remedy="give at least 0.5"
+            )
+        if not 0.4 <= self.speeds[0] <= self.speeds[1] <= 1.6:
+            raise ConfigError(
+                f"are {self.speeds} m/s", where="people.speeds", remedy="give 0.4 to 1.6 m/s"
+            )
+        if not 0 <= self.stops <= 8:
+            raise ConfigError(f"{self.stops} stops", where="people.stops", remedy="give 0 to 8")

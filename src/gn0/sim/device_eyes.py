@@ -19,6 +19,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.people.person import PEOPLE_MOST
+from gn0.plugins import is_builtin
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import Renderer
@@ -599,6 +600,13 @@ def refuse_host_sensors(sensors: Iterable[Sensor]) -> None:
         ConfigError: one is among them.
     """
     for sensor in sensors:
+        if sensor.device is None and is_builtin("sensor", sensor.name):
+            raise ConfigError(
+                f"sensor {sensor.name!r} is painted on the CPU alone",
+                where="sensors",
+                remedy="use VectorEnv, or here 'bev' (the map without people), 'who' and "
+                "'people_seen' (who is in the picture)",
+            )
         if sensor.device is None:
             raise ConfigError(
                 f"sensor {sensor.name!r} does not say how a device reads it",

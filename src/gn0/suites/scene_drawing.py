@@ -14,11 +14,11 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.plugins import get_plugin, is_builtin
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import choose_backend, name_drawing
-from gn0.render.share.client import DrawServer
+from gn0.render.share.server_process import DrawServer
 from gn0.sim.sensor.table import carry_sensors
 from gn0.suites.suite import load_suite_scene
 
-LOADER = f"{__name__}:load_look"  # for `gn0.render.share.client.DrawServer`
+LOADER = f"{__name__}:load_look"  # for `gn0.render.share.server_process.DrawServer`
 POSER = "gn0.people.poser:open_poser"  # likewise; bodies are loaded in that process alone
 SHARED: frozenset[str] = frozenset({"cuda"})  # backends that one process draws with for all
 
@@ -69,6 +69,17 @@ def needs_renderer(sensors: Iterable[str], map_mode: str) -> bool:
     return carried.needs_renderer(map_mode == "explored" and bool(carried.maps))
 
 
+def sees_pictures(policy: str, map_mode: str, *, isolated: bool = False) -> bool | None:
+    """Whether anything is drawn for a policy of that name; None where only itself can tell.
+
+    Raises:
+        ConfigError: no such policy.
+    """
+    known = is_builtin("policy", policy) or not isolated
+    sensors = getattr(get_plugin("policy", policy), "sensors", None) if known else None
+    return needs_renderer(sensors, map_mode) if isinstance(sensors, frozenset) else None
+
+
 def choose_run_backend(
     backend: str, policy: str, map_mode: str, *, isolated: bool = False, judged: bool = False
 ) -> str:
@@ -82,10 +93,7 @@ def choose_run_backend(
     Raises:
         ConfigError: no such policy, or no such backend.
     """
-    known = is_builtin("policy", policy) or not isolated
-    sensors = getattr(get_plugin("policy", policy), "sensors", None) if known else None
-    blind = isinstance(sensors, frozenset) and not needs_renderer(sensors, map_mode)
-    if blind and not judged:
+    if sees_pictures(policy, map_mode, isolated=isolated) is False and not judged:
         return "auto" if name_drawing(backend) == "cuda" else backend
     if backend == "auto" and choose_backend("auto")[0] == "cuda":
         return "cuda"

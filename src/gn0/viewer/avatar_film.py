@@ -21,6 +21,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
 from gn0.render.video import VP9, encode_video
 from gn0.storage import write_atomic, write_bytes
+from gn0.viewer.avatar_seat import SITTING, find_height, place_seat
 from gn0.viewer.avatar_sheet import PAPER, view_person
 
 SIZE = (320, 360)  # px
@@ -51,12 +52,17 @@ def film_motion(
     wanted = list(range(len(motion))) if frames is None else frames
     _, placed = move_joints(motion, avatar.joints)
     at = _follow(placed[:, 0] @ TO_WORLD.T, motion.fps)
+    pelvis = placed[:, 0] @ TO_WORLD.T
+    seat = []
+    if motion.category in SITTING:
+        lowest = pelvis[np.argmin(pelvis[:, 2])]
+        seat = [place_seat(lowest, find_height(avatar, lowest[2]))]
     camera = Camera.from_vfov(*SIZE, _SLOPE)
     options = RenderOptions(background=tuple(c / 255 for c in PAPER))  # type: ignore[arg-type]
     pictures = []
     for number, k in enumerate(wanted):
         progress("drawing", number, len(wanted))
-        cloud = avatar.pose(motion.poses[k], motion.shift[k])
+        cloud = join_clouds([avatar.pose(motion.poses[k], motion.shift[k]), *seat])
         view = view_person(turn, _FAR, _EYE, _AIM)
         view[:3, 3] -= view[:3, :2] @ at[k, :2]
         drawn = RendererCpu(join_clouds([cloud, floor_marks(at[k])]), options).render(

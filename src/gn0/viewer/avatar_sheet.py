@@ -10,11 +10,13 @@ from PIL import Image, ImageDraw, ImageFont
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.poses import standing_pose, trial_poses
 from gn0.avatars.skeleton import INDEX
+from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64, U8
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
+from gn0.viewer.avatar_seat import seat_person
 
 WIDTH, HEIGHT, FOOT, COLUMNS = 110, 230, 40, 8  # px of a picture, of its words; people a row
 INK, SOFT, PAPER = (24, 26, 30), (110, 114, 122), (222, 222, 220)
@@ -80,7 +82,12 @@ def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
 
 def draw_avatar(avatar: Avatar, pose: F64 | None, turns: Sequence[float]) -> list[U8]:
     """Pictures [HEIGHT, WIDTH, 3] of a person seen from angles `turns` [rad], 0 its front."""
-    renderer = RendererCpu(avatar.pose(pose), _options())
+    return draw_cloud(avatar.pose(pose), turns)
+
+
+def draw_cloud(cloud: GaussianCloud, turns: Sequence[float]) -> list[U8]:
+    """The same of a person who is posed already, with whatever stands beside it."""
+    renderer = RendererCpu(cloud, _options())
     views = np.array([view_person(turn, _FAR) for turn in turns])
     result = renderer.render(Camera.from_vfov(WIDTH, HEIGHT, _SLOPE), views, outputs=("rgb",))
     assert result.rgb is not None
@@ -101,10 +108,10 @@ def view_person(turn: float, distance: float, height: float = _EYE, aim: float =
 
 
 def draw_portrait(avatar: Avatar) -> Image.Image:
-    """One person from four sides, in a stride and seated, and the face."""
-    stand, stride, seat = trial_poses()
+    """One person from four sides, in a stride and on a seat, and the face."""
+    stand, stride, _ = trial_poses()
     cells = draw_avatar(avatar, stand, (0.0, 0.8, 1.6, 3.14))
-    cells += draw_avatar(avatar, stride, (0.4,)) + draw_avatar(avatar, seat, (0.4,))
+    cells += draw_avatar(avatar, stride, (0.4,)) + draw_cloud(seat_person(avatar), (0.7,))
     sheet = Image.new("RGB", (len(cells) * WIDTH + 2 * HEIGHT, 2 * HEIGHT), PAPER)
     for number, cell in enumerate(cells):
         sheet.paste(Image.fromarray(cell), (number * WIDTH, HEIGHT // 2))

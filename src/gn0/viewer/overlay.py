@@ -93,6 +93,7 @@ def render_overlay(
     for episode in () if coverage else distinct:
         _draw_episode(pen, scene, episode, place, bold=single)
     lines = [*_caption(episodes), *caption]
+    bold = len(_wrap(lines[:1], width))  # lines of what is drawn; what is said of it is paler
     text = Image.new("RGB", (width, height + 2 * _GAP + _LINE * len(_wrap(lines, width))), PAPER)
     text.paste(picture.convert("RGB").resize((width, height), Image.Resampling.LANCZOS), (0, 0))
     writer = ImageDraw.Draw(text)
@@ -101,7 +102,7 @@ def render_overlay(
             (_GAP, height + _GAP + number * _LINE),
             line,
             font=font(17),
-            fill=INK if number == 0 else MUTED,
+            fill=INK if number < bold else MUTED,
         )
     return text
 

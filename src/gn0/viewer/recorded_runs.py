@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from gn0.bench.company_watch import digest_places
@@ -113,8 +114,10 @@ class Replay:
             return "start"
         if step > len(trace.actions):
             return "ended"
+        touched = dict(_touches(trace)).get(step - 1)
+        bump = ", bump" if touched is None else f", touches person {touched}"
         return ACTION_WORDS.get(trace.actions[step - 1], "moves") + (
-            ", bump" if self.bumped(run, episode, step) else ""
+            bump if self.bumped(run, episode, step) or touched is not None else ""
         )
 
     def people_agree(self, run: ReplayRun, episode: Episode, stills: Sequence[PeopleStill]) -> bool:
@@ -144,6 +147,12 @@ class Replay:
                 scored = None if result is None else result.follow if follows else result.metrics
                 cells.append("–" if not scored else _number(scored, info.field, info.unit))
             rows.append([f"{plain(info.key.replace('_', ' '))}", *cells])
+        if episode.people:
+            told = [
+                _tell_touches(run.trace(episode.id)) if episode.id in run.results else "–"
+                for run in self.runs
+            ]
+            rows.append(["touches", *told])
         return table(["", *(plain(run.name, 24) for run in self.runs)], rows)
 
     def differences(self) -> str:
@@ -159,6 +168,25 @@ class Replay:
         if not rows:
             return "The runs follow one protocol to the letter."
         return table(["", *(plain(run.name, 24) for run in self.runs)], rows)
+
+
+def _touches(trace: EpisodeTrace) -> Sequence[tuple[int, int]]:
+    """(index of an action that touched somebody, whom), in order."""
+    if isinstance(trace.follow, FollowTrace):
+        return trace.follow.hits
+    return () if isinstance(trace.touches, msgspec.UnsetType) else trace.touches
+
+
+def _tell_touches(trace: EpisodeTrace) -> str:
+    """How often whom, for a cell: "2: person 3 at 14, 15"; steps as the page counts them."""
+    steps: dict[int, list[str]] = {}
+    for action, number in _touches(trace):
+        steps.setdefault(number, []).append(str(action + 1))
+    told = [
+        f"person {number} at {', '.join(at[:4])}{' …' if len(at) > 4 else ''}"
+        for number, at in sorted(steps.items())
+    ]
+    return "0" if not told else f"{sum(map(len, steps.values()))}: {'; '.join(told)}"
 
 
 def load_replay(runs: Sequence[Path], place: Path | None = None) -> Replay:

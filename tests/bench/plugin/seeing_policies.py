@@ -35,4 +35,15 @@ class PolicySeeing:
         return Action(1 + zlib.crc32(observation.rgb.tobytes()) % 3)
 
 
+class PolicySeeingLate(PolicySeeing):
+    """Says only when it is built what it sees."""
+
+    name = "seeing_late"
+
+    @property
+    def sensors(self) -> frozenset[str]:  # type: ignore[override]
+        return frozenset({"rgb"})
+
+
 register("policy", "seeing", PolicySeeing)
+register("policy", "seeing_late", PolicySeeingLate)

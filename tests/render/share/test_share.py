@@ -30,7 +30,8 @@ from gn0.render.host import RendererHost
 from gn0.render.instance import Instance
 from gn0.render.open import open_renderer
 from gn0.render.renderer import DrawnScene
-from gn0.render.share.client import DrawConnection, RendererShared, SceneEncoder
+from gn0.render.share.client import RendererShared, SceneEncoder
+from gn0.render.share.connection import DrawConnection
 from gn0.render.share.messages import Draw, Floor, lay_out
 from gn0.render.share.parts import Cloud, PartRows
 from gn0.render.share.server import Server, open_listener

@@ -68,6 +68,7 @@ CATEGORIES: dict[str, str] = {
     "sit": "sit", "stand_up": "stand up", **{name: name for name in BUSY}, "carry": "walk",
 }  # fmt: skip
 CLIPS = tuple(CATEGORIES)
+STAYING = (*IDLES, *GESTURES, *BUSY)  # of who stands
 # rows of these go by the angle that somebody turned: parts of a turn of any length
 PIVOTS = ("pivot_left", "pivot_right")
 SETTLES = ("settle_left", "settle_right")

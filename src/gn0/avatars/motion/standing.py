@@ -32,6 +32,7 @@ FPS = 30.0
 IDLES = ("idle_1", "idle_2", "idle_3")
 GESTURES = ("wave", "beckon", "point")
 SEAT = 0.45  # m, of a usual chair
+FLESH = 0.80  # of the radius of a thigh: hips of who sits are so far above the seat
 SEATS = (0.30, 0.65)  # m
 _BREATHS = 4.0  # s each
 _SPINE = ("spine1", "spine2", "spine3")
@@ -203,7 +204,7 @@ def plan_seated(build: Build, style: Style, frames: int, seat: float = SEAT) -> 
     plan = plan_stance(build, style, frames, breath=air)
     thigh, shank = (float(np.linalg.norm(bone[0])) for bone in build.bones)
     pelvis_up = float(build.joints[0, 1] - build.joints[HIPS[0], 1])
-    hips_y = seat + 0.80 * build.thigh
+    hips_y = seat + FLESH * build.thigh
     # shanks lean a little, the knees before the ankles, and thighs go back from there
     knee_y = build.ankle_height + shank * np.cos(0.12)
     down = np.clip((knee_y - hips_y) / thigh, -0.9, 0.9)

@@ -1,8 +1,8 @@
 "use strict";
 (() => {
-  const table = document.getElementById("episode-table");
-  const body = table.tBodies[0];
-  const rows = Array.from(body.rows);
+  // an episode is a row of the table of goals, or a body of two rows of the table of following
+  const list = document.getElementById("episode-list");
+  const rows = Array.from(list.querySelectorAll("[data-run]"));
   const policy = document.getElementById("pick-policy");
   const outcome = document.getElementById("pick-outcome");
   const find = document.getElementById("find");
@@ -12,7 +12,7 @@
   document.querySelector(".tools").hidden = false;
 
   const textOf = (row) => Array.from(
-    row.cells[1].querySelectorAll("span"), (span) => span.textContent.toLowerCase(),
+    row.querySelectorAll(".task span"), (span) => span.textContent.toLowerCase(),
   ).join(" ");
   const filter = () => {
     const words = find.value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -35,7 +35,9 @@
     if (raw === undefined) return null;
     return key === "text" ? raw : Number(raw);
   };
-  for (const head of table.tHead.querySelectorAll("th[data-sort]")) {
+  for (const head of list.querySelectorAll("th[data-sort]")) {
+    const table = head.closest("table");
+    const own = rows.filter((row) => table.contains(row));
     head.classList.add("live");
     head.tabIndex = 0;
     const sort = () => {
@@ -43,13 +45,13 @@
       for (const other of table.tHead.querySelectorAll("th")) other.removeAttribute("aria-sort");
       head.setAttribute("aria-sort", up ? "ascending" : "descending");
       const key = head.dataset.sort;
-      rows.sort((a, b) => {
+      own.sort((a, b) => {
         const x = value(a, key), y = value(b, key);
         if (x === null || y === null) return (x === null ? 0 : 1) - (y === null ? 0 : 1);
         const order = x < y ? -1 : x > y ? 1 : 0;
         return up ? order : -order;
       });
-      body.append(...rows);
+      own[0]?.parentNode.append(...own);
     };
     head.addEventListener("click", sort);
     head.addEventListener("keydown", (event) => {
@@ -90,7 +92,7 @@
     deep.hidden = false;
   };
   const offer = (row) => {
-    const folders = JSON.parse(table.dataset.folders).map(placeOf);
+    const folders = JSON.parse(list.dataset.folders).map(placeOf);
     const places = folders.map((folder) => (folder.startsWith("-") ? `./${folder}` : folder));
     const words = ["gn0", "view", ...places, `--episode=${row.dataset.text}`];
     viewer.hidden = !row.querySelector(".view") || !words.every(isPlain);
@@ -112,7 +114,7 @@
 
   const open = (row, watch) => {
     stage.replaceChildren();
-    const task = row.cells[1].cloneNode(true);
+    const task = row.querySelector(".task").cloneNode(true);
     for (const button of task.querySelectorAll("button")) button.remove();
     const title = document.createElement("div");
     title.className = "task";

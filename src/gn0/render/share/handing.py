@@ -218,5 +218,5 @@ class Coded:
         number = self._request.draw.number
         if not self._fits:
             return Drawn(number)
-        sizes = {name: tuple(each) for name, each in self._sizes.items()}
-        return Drawn(number, **sizes, digests=b"".join(self._digests.values()))
+        files, mosaics, maps = (tuple(self._sizes[name]) for name in ("files", "mosaics", "maps"))
+        return Drawn(number, files, mosaics, maps, b"".join(self._digests.values()))

@@ -21,9 +21,11 @@ from gn0.render.camera import Camera
 from gn0.render.encoding import Encode
 from gn0.render.renderer import LABELS, Output
 from gn0.render.share.parts import PartRows
+from gn0.render.who import SeenInstance
 from gn0.storage import content_hash
 
 LIMIT = 2**26  # bytes of a message: 500,000 views
+WHO_OUTPUTS: tuple[Output, ...] = ("instance",)  # numbers lie where labels would
 ALIGNMENT = 64  # bytes, of each output in an area
 _LENGTH = struct.Struct("<I")
 T = TypeVar("T")
@@ -115,6 +117,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
         visible: draw from the visible sets of the `Floor` that was sent last.
         millimetres: depth as uint16, see `gn0.render.depth`.
         parts: instances of clouds that were sent before, or that are posed over there.
+        who: which of `parts` each pixel shows, in place of `WHO_OUTPUTS`, and nothing else.
     """
 
     number: int
@@ -129,6 +132,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
     visible: bool = False
     millimetres: bool = False
     parts: PartRows | None = None
+    who: bool = False
 
     @property
     def count(self) -> int:
@@ -143,12 +147,14 @@ class Who(msgspec.Struct, frozen=True, tag="who"):
 class DrawnBy(msgspec.Struct, frozen=True, tag="drawn by"):
     """Who draws: equal names, equal pictures; "cuda on host" is the emulation.
 
-    `labels` says whether it draws "semantic" and "instance", `poses` whether it poses people.
+    `labels` says whether it draws "semantic" and "instance", `poses` whether it poses people,
+    `tells` whether it tells who is who.
     """
 
     name: str
     labels: bool = False
     poses: bool = False
+    tells: bool = False
 
 
 class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
@@ -163,6 +169,7 @@ class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
         digests: 16 bytes each, of the raw pixels: of the views, of the mosaics, of the views'
             depth in millimetres where it is drawn, and of the occupancy pictures. Empty without
             files.
+        seen: of each view, how its instances show, where `Draw.who` asked.
     """
 
     number: int
@@ -170,6 +177,7 @@ class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
     mosaics: tuple[int, ...] = ()
     maps: tuple[int, ...] = ()
     digests: bytes = b""
+    seen: tuple[tuple[SeenInstance, ...], ...] = ()
 
 
 class Failed(msgspec.Struct, frozen=True, tag="failed"):

@@ -114,7 +114,7 @@ class Request:
             files = wish.quality, wish.tile, wish.cells, wish.columns, wish.pixels
         visible = self.floor is not None
         camera = msgspec.json.encode(draw.camera)
-        return camera, draw.outputs, draw.background, files, visible, draw.millimetres
+        return camera, draw.outputs, draw.background, files, visible, draw.millimetres, draw.who
 
     def fail(self, error: Gn0Error) -> None:
         """Tell who asked what went wrong."""

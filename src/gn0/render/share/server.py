@@ -1,6 +1,6 @@
 """The process that owns the device and draws for all others on this machine.
 
-Started as `python -m gn0.render.share.server` by `gn0.render.share.client.DrawServer`. Requests of
+Started as `python -m gn0.render.share.server` by `gn0.render.share.server_process`. Requests of
 all connections wait in one queue; as many as fit are drawn in one call, views of one scene side by
 side. A request is drawn whole or answered with an error, and no picture depends on what else was
 in its batch. When stdin ends the starter is gone, and so is this process.
@@ -29,6 +29,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray
 from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
@@ -42,8 +43,10 @@ from gn0.render.renderer import Pictures, Renderer
 from gn0.render.share.files import FileMaker, Files
 from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
+    WHO_OUTPUTS,
     Area,
     Draw,
+    Drawn,
     DrawnBy,
     Floor,
     Inbox,
@@ -57,6 +60,7 @@ from gn0.render.share.messages import (
 )
 from gn0.render.share.parts import Cloud, Player
 from gn0.render.share.request import Connection, Poser, Request
+from gn0.render.who import WhoPictures
 
 BATCH = 256  # views a call
 SWITCH = 0.0005  # s that a thread may keep the interpreter
@@ -98,7 +102,10 @@ class Server:
         device = batch.traits.device
         self._files = None if device is None else FileMaker(device)
         self._drawn_by = DrawnBy(
-            batch.traits.drawn_by, batch.traits.labels, poses=poser is not None
+            batch.traits.drawn_by,
+            batch.traits.labels,
+            poses=poser is not None,
+            tells=hasattr(batch, "render_who"),
         )
         self.tally = Tally()
 
@@ -315,6 +322,13 @@ class Server:
             raise RenderError("a request without room for its pictures", where="drawing socket")
         if draw.visible and request.floor is None:
             raise RenderError("a request for visible sets without a floor", where="drawing socket")
+        if draw.who and (draw.outputs != WHO_OUTPUTS or draw.encode is not None):
+            raise RenderError("who is who is asked for without pictures", where="drawing socket")
+        if draw.who and not self._drawn_by.tells:
+            raise RenderError(
+                f"renderer {self._batch.name!r} cannot tell who is who",
+                remedy="use backend 'cpu' or 'cuda'",
+            )
         dots = None if draw.encode is None else draw.encode.dots
         if dots is not None:
             if request.shown is None or len(dots.places) % 16 or not 0 <= dots.radius <= 100:
@@ -360,6 +374,9 @@ class Server:
                     continue
                 own, posed = posed[: len(sent.posed)], posed[len(sent.posed) :]
                 moving += sent.read(count, r.connection.prefix, own)
+        if first.who:
+            self._tell(group, views, keys, moving)
+            return
         for begin in range(0, len(views), self._views):
             end = min(begin + self._views, len(views))
             self._handing.make_room()
@@ -398,6 +415,34 @@ class Server:
                 drawing=middle - start,
                 encoding=time.perf_counter() - middle,
             )
+
+    def _tell(
+        self,
+        group: list[Request],
+        views: NDArray[np.float64],
+        keys: list[str],
+        moving: list[tuple[Instance, ...]],
+    ) -> None:
+        """Tell who is who in requests that are alike; measures and truth, so nothing flies."""
+        tell: Callable[..., WhoPictures] = self._batch.render_who  # type: ignore[attr-defined]
+        camera, visible = group[0].draw.camera, group[0].draw.visible
+        numbers, seen, calls = [], [], 0
+        start = time.perf_counter()
+        for begin in range(0, len(views), self._views):
+            some = slice(begin, begin + self._views)
+            parts = moving[some] or [()] * len(views[some])
+            found = tell(camera, views[some], keys[some], parts=parts, visible=visible)
+            numbers.append(found.numbers)
+            seen += found.seen
+            calls += 1
+        whole, at = np.concatenate(numbers), 0
+        for request in group:
+            rows = slice(at, at + request.draw.count)
+            np.copyto(request.targets()[WHO_OUTPUTS[0]], whole[rows])
+            told = tuple(map(tuple, seen[rows]))
+            request.connection.send(Drawn(request.draw.number, seen=told))
+            at = rows.stop
+        self._count(views=len(views), calls=calls, drawing=time.perf_counter() - start)
 
     def _make_files(self, pictures: Pictures, draw: Draw, pieces: list[Piece]) -> Files | None:
         """Files of a batch, where they are wanted and its pictures are on a device."""

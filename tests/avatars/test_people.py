@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from itertools import combinations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -225,3 +226,16 @@ def test_pages_show_everybody(woman: Avatar) -> None:
     assert half.std() > 20  # somebody is there
     assert describe_avatar(woman)[1] == "red knitted sweater"
     assert np.asarray(draw_portrait(woman)).std() > 10
+
+
+@pytest.mark.parametrize("shoes", ["boots", "laced", "trainers"])
+def test_soles_do_not_lean_with_shanks(shoes: str) -> None:
+    """Shoes hang on three vertices a side, one behind the shank: they have the skin's weights."""
+    avatar = build_person(msgspec.structs.replace(WOMAN, shoes=shoes), name="w", density=0.3)
+    dense = avatar.weights.dense()
+    worn = avatar.part == PARTS.index("shoes")
+    low = worn & (avatar.points[:, 1] < avatar.points[worn, 1].min() + 0.03)
+    assert low.sum() > 50
+    shanks = dense[low][:, [INDEX["left_knee"], INDEX["right_knee"]]].sum(axis=1)
+    feet = [INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("ankle", "foot")]
+    assert shanks.max() < 0.06 and dense[low][:, feet].sum(axis=1).min() > 0.9

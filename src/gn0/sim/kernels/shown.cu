@@ -142,7 +142,7 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   Route r = route_of(e, p);
   int clip = CLIP_NONE, frame = 0, other = CLIP_NONE, other_frame = 0, quarter = BLEND;
   int early = 0, stood = STOOD_LEAST;
-  double forward = 0.0, at_x = q.x, at_y = q.y;
+  double forward = 0.0, gone = 0.0, at_x = q.x, at_y = q.y;
   if (r.behaviour != SCRIPT) {
     double seconds = 0.1 * q.clip_since + 0.1 * role.offset;
     clip = role.clip;
@@ -192,7 +192,7 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     int walks = min(q.clip == WALK ? part : BLEND - part, 2);
     forward = 0.5 * walks * ((double)phase / PHASES - cycles) * role.stride;
     if (other != CLIP_NONE) {
-      double gone = clip == CLIP_WALK ? q.speed * q.speed / (2.0 * BRAKE) : 0.0;
+      gone = clip == CLIP_WALK ? q.speed * q.speed / (2.0 * BRAKE) : 0.0;
       double at = cycles - gone / role.stride - RIGHT_SWINGS;
       early = fabs(at - floor(at) - 0.5) > 0.25;
       stood = min(max((int)rint(-1e3 * (gone + forward)), STOOD_LEAST), STOOD_MOST);
@@ -216,6 +216,12 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     hy = q.fx * sin + q.fy * cos;
     ax = clip == CLIP_WALK ? hx : q.fx;
     ay = clip == CLIP_WALK ? hy : q.fy;
+  }
+  double sx = q.x - q.x0, sy = q.y - q.y0, step = sqrt(sx * sx + sy * sy);
+  if (gone > 0.0 && sx * ax + sy * ay >= ALIGNED * step) {
+    // who still turns as he sets off is drawn before his feet, not aside of them
+    at_x = at_x + gone * (ax - sx / step);
+    at_y = at_y + gone * (ay - sy / step);
   }
   double away = sqrt(square);
   int level = 0;

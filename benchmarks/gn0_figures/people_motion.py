@@ -397,7 +397,7 @@ def measure_motion(ctx: FigureContext) -> list[FigureRow]:
     """Feet, knees, hands and loops of the library; feet in the simulator; files and their bones."""
     walkers = open_walkers()
     rows = clip_rows(walkers, STYLES, ctx)
-    avatars = [build_person(who, name=f"p{k}", density=0.1) for k, who in enumerate(PEOPLE)]
+    avatars = [build_person(who, name=f"p{k}") for k, who in enumerate(PEOPLE)]
     rows += tick_rows(avatars, (0.4, 0.8, 1.3, 1.6))
     steps, legs = step_lengths(open_walkers([*PEOPLE, *draw_people(5, 12)]))
     rows.append(

@@ -11,8 +11,10 @@ import msgspec
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gn0.geometry import F64
+from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
@@ -36,6 +38,8 @@ SECONDS = 60.0  # of each episode that is looked at tick by tick
 STILL = 0.005  # m a tick
 NO_WAY, WON = 20.0, 0.25  # s in which who is on its way should win so much of it [m]
 ROUNDS = 5
+FINE = 4  # parts of a cell's side that free room is looked at in
+ROOM = 0.25  # m² that a centre can come to: who has less is shut in
 
 
 def plan_episodes(
@@ -92,6 +96,7 @@ class Found:
         longest: the longest time that somebody on its way stood still, without a stop [s].
         stuck: people who stood for more than 10 s so.
         no_way: people who won no way for `NO_WAY` s, standing or shuffling, without a stop.
+        shut_in: of them, whom agent and walls left no room to go when these were over.
         hits: moves of agents that were cut by somebody.
         digest: of all places.
     """
@@ -102,6 +107,7 @@ class Found:
     longest: float
     stuck: int
     no_way: int
+    shut_in: int
     hits: int
     digest: str
 
@@ -130,6 +136,21 @@ class WayWatch:
             self.found |= self._ways.max(axis=0) - self._ways.min(axis=0) < WON
 
 
+def room_to_go(mask: OccupancyGrid, place: F64, discs: F64) -> float:
+    """Area [m²] that a centre at `place` (2) m can come to, off walls and discs [N, 2] m."""
+    size = mask.resolution / FINE
+    near = np.kron(mask.blocked, np.ones((FINE, FINE), np.bool_))
+    rows, cols = np.indices(near.shape)
+    x, y = mask.origin[0] + (cols + 0.5) * size, mask.origin[1] + (rows + 0.5) * size
+    for u, v in discs:
+        near |= (x - u) ** 2 + (y - v) ** 2 < BODIES**2
+    regions, _ = ndimage.label(~near)
+    # a body that touches another may be up to a part of a cell in its disc
+    own = (x - place[0]) ** 2 + (y - place[1]) ** 2 < (3.0 * size) ** 2
+    found = [(regions == k).sum() for k in np.unique(regions[own]) if k]
+    return float(max(found, default=0)) * size * size
+
+
 def watch(
     scenes: Sequence[Scene], episodes: Sequence[Episode], seconds: float, numbers: Sequence[int]
 ) -> Found:
@@ -153,6 +174,8 @@ def watch(
     still = np.zeros(here.shape, np.int64)
     longest, in_walls, least, hits = still.copy(), 0, np.inf, 0
     ways = WayWatch(here.shape, round(NO_WAY / TICKER.step_seconds))
+    shut_in = np.zeros(here.shape, np.bool_)
+    limit = round(10.0 / TICKER.step_seconds)
     pairs = np.triu_indices(here.shape[1] + 1, 1)
     for tick in range(rounds):
         *_, infos = env.step(actions[:, tick])
@@ -173,6 +196,11 @@ def watch(
         waits = on_way & (crowd.whole[:, :, CLIP] == 0)
         still = np.where(waits, still + 1, 0)
         longest = np.maximum(longest, still)
+        for i, p in np.argwhere((still == limit + 1) & (longest == still)):
+            stand = here[i] & ~walks[i]
+            discs = np.concatenate([places[i, stand], infos["pose"][i, None, :2]])
+            mask = masks[episodes[numbers[i]].scene_id]
+            shut_in[i, p] = room_to_go(mask, places[i, p], discs) < ROOM
     whole = hashlib.blake2b(digest_size=8)
     for _, one in sorted(zip(numbers, digest, strict=True), key=lambda pair: pair[0]):
         whole.update(one.digest())
@@ -181,8 +209,9 @@ def watch(
         in_walls=in_walls,
         least_gap=least - BODIES,
         longest=float(longest.max()) * TICKER.step_seconds,
-        stuck=int((longest * TICKER.step_seconds > 10.0).sum()),
+        stuck=int((longest > limit).sum()),
         no_way=int(ways.found.sum()),
+        shut_in=int(shut_in.sum()),
         hits=hits,
         digest=whole.hexdigest(),
     )
@@ -248,6 +277,11 @@ def measure_people(ctx: FigureContext) -> list[FigureRow]:
         row_at_most("centres nearer to a wall than 0.30 m", found.in_walls, 0, "ticks", detail),
         row_at_least("least gap of two bodies", found.least_gap * 1e3, 0, "mm", detail),
         row_at_most("people stuck for more than 10 s", found.stuck, 0, "people", detail),
+        row_at_most(
+            "of them, who had room to go", found.stuck - found.shut_in, 0, "people",
+            f"{found.shut_in} were left less than {ROOM:g} m² for their centre by the agent, which "
+            "walks at random, and walls",
+        ),
         FigureRow(
             name=f"people who won no way in {NO_WAY:g} s", value=found.no_way, unit="people",
             detail=f"{detail}; {WON:g} m along the path; stops of the script left out",

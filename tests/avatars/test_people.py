@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from itertools import combinations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -256,3 +257,16 @@ def test_who_is_shown_seated_sits_on_a_seat_with_the_feet_on_the_floor(
         film_motion(woman, replace(motion, category=kind), [0])[0] for kind in ("sit", "")
     )
     assert (with_seat != without).any(axis=-1).sum() > 500
+
+
+@pytest.mark.parametrize("shoes", ["boots", "laced", "trainers"])
+def test_soles_do_not_lean_with_shanks(shoes: str) -> None:
+    """Shoes hang on three vertices a side, one behind the shank: they have the skin's weights."""
+    avatar = build_person(msgspec.structs.replace(WOMAN, shoes=shoes), name="w", density=0.3)
+    dense = avatar.weights.dense()
+    worn = avatar.part == PARTS.index("shoes")
+    low = worn & (avatar.points[:, 1] < avatar.points[worn, 1].min() + 0.03)
+    assert low.sum() > 50
+    shanks = dense[low][:, [INDEX["left_knee"], INDEX["right_knee"]]].sum(axis=1)
+    feet = [INDEX[f"{side}_{part}"] for side in ("left", "right") for part in ("ankle", "foot")]
+    assert shanks.max() < 0.06 and dense[low][:, feet].sum(axis=1).min() > 0.9

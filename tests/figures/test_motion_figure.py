@@ -20,6 +20,7 @@ from gn0_figures.people_motion import (
     round_trip,
     tick_rows,
     watch_clips,
+    watch_ticks,
 )
 from gn0_trials.people_small import small_person
 
@@ -33,6 +34,14 @@ def test_feet_of_clips_and_of_people_in_the_simulator_stay(tmp_path: Path) -> No
     assert max(found.loops) < 0.01
     rows = tick_rows([small_person()], (0.8,))
     assert len(rows) == 4 and all(row.passed for row in rows), rows
+
+
+def test_no_foot_slides_far_as_people_set_off_walk_and_stop() -> None:
+    """At the slowest and the quickest, from feet that stand another way: no foot, not the most."""
+    for who, speed, most in ((1, 0.4, 0.015), (0, 1.6, 0.03)):
+        found = watch_ticks(small_person(who), speed)
+        assert all(len(slides) > 3 for slides in found.values())
+        assert max(float(slides.max()) for slides in found.values()) < most, speed
 
 
 def test_a_foot_that_slides_is_seen() -> None:

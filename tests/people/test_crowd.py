@@ -183,6 +183,13 @@ def test_company_beside_its_way_changes_no_bit(speed, after, stop, beside, agent
         assert state.real[0, 0, 4:6].tobytes() == track.face[tick].tobytes()
 
 
+def test_patience_ends_at_the_same_time_at_any_rate(episodes) -> None:
+    """Who waits goes round a tick after its patience: in the same tenth of a second."""
+    people = [person for episode in episodes for person in episode.people]
+    tenths, thirtieths = (build_routes(people, rate).table[:, 6] + 1 for rate in (10, 30))
+    assert np.array_equal(thirtieths, 3 * tenths) and len(np.unique(tenths)) > 5
+
+
 def test_who_is_in_the_way_is_gone_round() -> None:
     """Somebody stands on the path in an open room: the walker waits, passes it and arrives."""
     path = ((1.5, 2.5), (5.0, 2.5))

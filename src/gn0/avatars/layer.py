@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gn0.avatars.body import BodyShape
 from gn0.avatars.makehuman.mesh_obj import triangles_of
@@ -31,6 +32,10 @@ PARTS: tuple[str, ...] = (
     "held",
 )  # fmt: skip
 _INFLUENCES = 4
+# vertices of a body: shoes hang on three each, one of them behind the shank, which give their shape
+# and place alone; their soles must not lean with it
+_FEW = 12
+_NEAREST = 4  # vertices of the skin beneath
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +172,21 @@ class Fitting:
 
 def cloth_layer(fitting: Fitting, cloth: Cloth, part: str, over: float, **more: object) -> Layer:
     """A piece of MakeHuman on a body, with the joints of the body where it hangs."""
-    weights = pack_weights(cloth.binding.carry(fitting.dense), _INFLUENCES)
-    points = fitting.undo(cloth.binding.fit(fitting.sculpted), weights)
+    fitted = cloth.binding.fit(fitting.sculpted)
+    if len(np.unique(cloth.binding.refs)) <= _FEW:
+        dense = _weights_beneath(fitting, fitted)
+    else:
+        dense = cloth.binding.carry(fitting.dense)
+    weights = pack_weights(dense, _INFLUENCES)
+    points = fitting.undo(fitted, weights)
     uv = triangle_uv(cloth.faces, cloth.uv)
     return Layer(part, over, points, triangles_of(cloth.faces), uv, weights, **more)  # type: ignore[arg-type]
+
+
+def _weights_beneath(fitting: Fitting, points: F64) -> F64:
+    """Skin weights [N, 55] of the skin that is nearest to points [N, 3] m in the sculpted pose."""
+    skin = np.unique(fitting.shape.model.triangles)
+    away, nearest = cKDTree(fitting.sculpted[skin]).query(points, _NEAREST)
+    share = 1.0 / (away**2 + 1e-6)
+    share /= share.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("nk,nkj->nj", share, fitting.dense[skin[nearest]]))

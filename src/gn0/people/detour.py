@@ -250,8 +250,8 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
             real[e, p, WAY] = length
             whole[e, p, PIECE] = routes.table[r, 1] - routes.table[r, 0] - 2
     if (
-        whole[e, p, ROUND_TICKS] > ROUND_SECONDS * pace.rate
-        or whole[e, p, WAIT] > NO_WAY_SECONDS * pace.rate
+        whole[e, p, ROUND_TICKS] >= ROUND_SECONDS * pace.rate
+        or whole[e, p, WAIT] >= NO_WAY_SECONDS * pace.rate
     ):
         _, aside, _ = nearest_way(
             routes, r, real[e, p, WAY], whole[e, p, PIECE], whole[e, p, DIRECTION], x, y

@@ -92,7 +92,9 @@ def _build(person: EpisodePerson, rate: int) -> _Route:
     own = derive_seed(person.seed, "patience")
     waits = own % 1024 / 1024
     right = own // 1024 % 65536 * 32 + person.number  # no two of an episode have the same
-    patience = round((PATIENCE[0] + (PATIENCE[1] - PATIENCE[0]) * waits) * rate)
+    # in tenths of a second at any rate, and over in the same one: a person waits for others too
+    tenths = round((PATIENCE[0] + (PATIENCE[1] - PATIENCE[0]) * waits) * 10)
+    patience = (tenths + 1) * rate // 10 - 1
     place = [person.path[0]]
     for x, y in person.path[1:]:
         if _long(x - place[-1][0], y - place[-1][1]) > _LEAST:

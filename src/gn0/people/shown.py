@@ -37,6 +37,7 @@ from gn0.geometry import F64
 from gn0.people.cast import Actor
 from gn0.people.person import EpisodePerson
 from gn0.people.reach import (
+    ALIGNED,
     CLIP,
     CLIP_SINCE,
     FX,
@@ -109,7 +110,7 @@ def show_person(
     seed = derive_seed(person.seed, "looks")
     since = int(whole[CLIP_SINCE])
     hx, hy = float(real[HX]), float(real[HY])
-    forward, pivot, at_x, at_y = 0.0, None, real[X], real[Y]
+    forward, gone, pivot, at_x, at_y = 0.0, 0.0, None, real[X], real[Y]
     clip, frame, other, other_frame, quarter = "", 0, "", 0, _BLEND
     gait, early, stood = speed_class(person.speed), 0, 0
     if person.behaviour == "sit":
@@ -164,6 +165,11 @@ def show_person(
         fx, fy, c, s = float(real[FX]), float(real[FY]), math.cos(turn), math.sin(turn)
         hx, hy = fx * c - fy * s, fx * s + fy * c
         ax, ay = (hx, hy) if clip == "walk" else (fx, fy)
+    sx, sy = float(real[X]) - float(real[X0]), float(real[Y]) - float(real[Y0])
+    step = math.sqrt(sx * sx + sy * sy)
+    if gone > 0.0 and step > 0.0 and sx * ax + sy * ay >= ALIGNED * step:
+        # who still turns as he sets off is drawn before his feet, not aside of them
+        at_x, at_y = at_x + gone * (ax - sx / step), at_y + gone * (ay - sy / step)
     pose = np.eye(4)
     pose[:2, :2] = (hx, -hy), (hy, hx)
     pose[0, 3], pose[1, 3] = at_x + ax * forward, at_y + ay * forward

@@ -154,7 +154,6 @@ class PeopleEyesDevice:
         row["reach"] = reach + _STRETCHES
         if sits:
             row["forward"] = actor.behind(person.seat)
-            row["reach"] += abs(row["forward"])
         elif name not in IDLES:
             row["lasts"] = clip.seconds
 

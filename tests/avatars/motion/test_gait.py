@@ -12,7 +12,14 @@ from gn0.avatars.identity import Identity
 from gn0.avatars.motion import stepping
 from gn0.avatars.motion.cycles import loop_closure
 from gn0.avatars.motion.feet import find_contacts, measure_soles, move_joints
-from gn0.avatars.motion.gait import PHASES, SPEEDS, walk_motion
+from gn0.avatars.motion.gait import (
+    PHASES,
+    SPEEDS,
+    draw_style,
+    plan_gait,
+    shape_gait,
+    walk_motion,
+)
 from gn0.avatars.motion.hands import box_held, plan_busy
 from gn0.avatars.motion.legs import Build, measure_build
 from gn0.avatars.motion.library import (
@@ -169,6 +176,19 @@ def test_walks_stand_on_their_feet(skins: dict[str, Skin], speed: float) -> None
         assert motion.loop and len(motion) == PHASES + 1
         assert loop_closure(motion, skin.joints) == 0.0
         assert np.array_equal(motion.poses[0], motion.poses[-1])
+
+
+def test_feet_that_leave_or_land_do_not_jump(skins: dict[str, Skin]) -> None:
+    """Rolling on its tip, a foot that points outwards has gone aside: there its swing begins."""
+    phases = np.arange(0.0, 1.0, 1.0 / 1024)
+    for number, skin in enumerate(skins.values()):
+        style = draw_style(number)
+        for speed in (0.4, 1.6):
+            plan = plan_gait(skin.build, shape_gait(skin.build, speed, style), style, phases)
+            # 1.5 m in a cycle, and a foot in the air about three times as fast
+            steps = np.abs(np.diff(plan.ankles, axis=0, append=plan.ankles[:1]))
+            assert steps[..., 0].max() < 0.001, speed
+            assert steps.max() < 0.006, speed
 
 
 def test_steps_follow_legs_and_speed(skins: dict[str, Skin]) -> None:

@@ -223,13 +223,13 @@ def swing_feet(
         standing(np.array([0.0, h])),
     )
     span = (1.0 - gait.duty) / h
-    for axis in (1, 2):
+    for axis in range(3):  # rolling on its tip, a foot that points outwards has gone aside
         places[swing, axis] = hermite(
             u, p0[1, axis], p1[0, axis],
             (p0[1, axis] - p0[0, axis]) * span, (p1[1, axis] - p1[0, axis]) * span,
         )  # fmt: skip
     # a foot leaves a little outwards, about the other leg
-    places[swing, 0] = across + SIGN[side] * 0.012 * np.sin(np.pi * u) ** 2
+    places[swing, 0] += SIGN[side] * 0.012 * np.sin(np.pi * u) ** 2
     pitch[swing] = hermite(u, a0[1], a1[0], (a0[1] - a0[0]) * span * 0.7, 0.0)
     toes = toes_of(pitch)
     toes[swing] *= (1.0 - u) ** 2

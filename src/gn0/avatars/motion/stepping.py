@@ -356,8 +356,10 @@ def step_plans(
     mixed = mix_plans(first, second, share)
     first, second = (replace(one, upper=one.upper[:, :0]) for one in (first, second))  # feet alone
     away = np.linalg.norm(second.ankles - first.ankles, axis=-1)
+    # who sets off may still be turning, and what is down would turn with him: down in the end
+    quick = np.where(stops, 2.0, 1.6)
     for k in (0, 1):
-        u = np.clip(2.0 * share - (k != early), 0.0, 1.0)
+        u = np.clip(np.where(k == early, quick * share, 2.0 * share - 1.0), 0.0, 1.0)
         foot = mix_plans(first, second, ease(u))
         for name in ("ankles", "feet", "toes", "knees", "stands"):
             getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]

@@ -173,7 +173,8 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
   }
   double aside, way;
   int piece;
-  bool gives_up = q.round_ticks > ROUND_SECONDS * pace.rate || q.wait > NO_WAY_SECONDS * pace.rate;
+  bool gives_up = q.round_ticks >= ROUND_SECONDS * pace.rate ||
+                  q.wait >= NO_WAY_SECONDS * pace.rate;
 #pragma unroll 1
   while (true) {
     way = nearest_way(r, q.way, q.piece, q.direction, x, y, aside, piece);

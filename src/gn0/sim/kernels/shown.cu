@@ -141,7 +141,7 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   Route r = route_of(e, p);
   int clip = CLIP_NONE, frame = 0, other = CLIP_NONE, other_frame = 0, quarter = BLEND;
   int early = 0, stood = STOOD_LEAST;
-  double forward = 0.0, at_x = q.x, at_y = q.y;
+  double forward = 0.0, gone = 0.0, at_x = q.x, at_y = q.y;
   if (r.behaviour != SCRIPT) {
     double seconds = 0.1 * q.clip_since + 0.1 * role.offset;
     clip = role.clip;
@@ -191,7 +191,7 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     int walks = min(q.clip == WALK ? part : BLEND - part, 2);
     forward = 0.5 * walks * ((double)phase / PHASES - cycles) * role.stride;
     if (other != CLIP_NONE) {
-      double gone = clip == CLIP_WALK ? q.speed * q.speed / (2.0 * BRAKE) : 0.0;
+      gone = clip == CLIP_WALK ? q.speed * q.speed / (2.0 * BRAKE) : 0.0;
       double at = cycles - gone / role.stride - RIGHT_SWINGS;
       early = fabs(at - floor(at) - 0.5) > 0.25;
       stood = min(max((int)rint(-1e3 * (gone + forward)), STOOD_LEAST), STOOD_MOST);
@@ -205,17 +205,6 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
   int level = 0;
   for (int n = 1; n < levels; n++)
     if (away >= from[n]) level = n;
-  // how far outside of the wedge that the widest picture shows, whose tip is `deeper` behind the eye
-  bool steps = clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2;
-  bool rests = other == CLIP_NONE && (steps || clip == role.idle);
-  double far = (rests ? role.still : role.reach) + (level ? role.coarser : 0.0);
-  double side = fabs(dx * ahead[2] - dy * ahead[1]);
-  double before = -dx * ahead[1] - dy * ahead[2] + deeper, out = side - across * before;
-  if (side * across + before < 0.0) {
-    if (side * side + before * before > far * far) return;
-  } else if (out > 0.0 && out * out > far * far * (1.0 + across * across)) {
-    return;
-  }
   int look = STRAIGHT;
   double yaw = atan2(q.hx * dy - q.hy * dx, q.hx * dx + q.hy * dy);
   if (square < NEAR_EYE * NEAR_EYE && fabs(yaw) < SIDE_EYE) look = look_class(yaw);
@@ -230,6 +219,24 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     hy = q.fx * sin + q.fy * cos;
     ax = clip == CLIP_WALK ? hx : q.fx;
     ay = clip == CLIP_WALK ? hy : q.fy;
+  }
+  double sx = q.x - q.x0, sy = q.y - q.y0, step = sqrt(sx * sx + sy * sy);
+  if (gone > 0.0 && step > 0.0 && sx * ax + sy * ay >= ALIGNED * step) {
+    // who still turns as he sets off is drawn before his feet, not aside of them
+    at_x = at_x + gone * (ax - sx / step);
+    at_y = at_y + gone * (ay - sy / step);
+  }
+  // how far outside of the wedge that the widest picture shows, whose tip is `deeper` behind the eye
+  bool steps = clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2;
+  bool rests = other == CLIP_NONE && (steps || clip == role.idle);
+  double far = (rests ? role.still : role.reach) + (level ? role.coarser : 0.0);
+  double ox = at_x + ax * forward - eye.x, oy = at_y + ay * forward - eye.y;
+  double side = fabs(oy * ahead[1] - ox * ahead[2]);
+  double before = ox * ahead[1] + oy * ahead[2] + deeper, out = side - across * before;
+  if (side * across + before < 0.0) {
+    if (side * side + before * before > far * far) return;
+  } else if (out > 0.0 && out * out > far * far * (1.0 + across * across)) {
+    return;
   }
   u64 code = (u64)role.number;
   code |= (u64)level << 16;

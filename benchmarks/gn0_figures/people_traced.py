@@ -22,7 +22,8 @@ from gn0.avatars.person_paint import paint_surfels
 from gn0.avatars.sampling import SheetPoints
 from gn0.avatars.skin_paint import FacePlaces, find_face
 from gn0.avatars.skinning import SkinWeights, pose_joints, skin_points
-from gn0.avatars.surfels import DressedBody, Surfels, cover_layers
+from gn0.avatars.dressed_body import DressedBody
+from gn0.avatars.surfels import Surfels, cover_layers
 from gn0.gaussians.film import encode_srgb
 from gn0.geometry import F64
 from gn0.render.camera import Camera

@@ -25,7 +25,7 @@ from gn0.viewer.avatar_check import measure_gaps
 
 CAMERA = Camera.from_vfov(480, 360, 70.0)
 PALE = Identity(seed=21, tone=1, hair="long01", hair_colour="black", top="turtleneck")
-DRAWN = draw_people(7, 40)
+DRAWN = draw_people(7, 200)
 
 
 def see_through(avatar: Avatar, distance: float) -> F64:
@@ -43,13 +43,16 @@ def see_through(avatar: Avatar, distance: float) -> F64:
     view = view_from_pose(middle[0] + distance, middle[1], middle[2], np.pi)[None]
     drawn = [
         RendererCpu(face, RenderOptions(background=wall, rgb_float=True)).render(
-            CAMERA, view, outputs=("rgb", "instance")
+            CAMERA, view, outputs=("rgb", "depth", "instance")
         )
         for wall in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     ]
     white, black = (result.rgb for result in drawn)
     assert white is not None and black is not None and drawn[0].instance is not None
-    here = ndimage.binary_erosion(drawn[0].instance[0] == 2, iterations=2)
+    assert drawn[0].depth is not None
+    # not where it was cut
+    here = (drawn[0].instance[0] == 2) & (drawn[0].depth[0] < distance - 0.03)
+    here = ndimage.binary_erosion(here, iterations=2)
     shown: F64 = (white[0] - black[0])[here].mean(axis=1)
     return shown
 

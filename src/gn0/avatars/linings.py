@@ -33,23 +33,25 @@ class _Kind:
         deep: how far below the surface they lie [m].
         most: of the thickness of the part that they are in.
         wide: standard deviation of one, in `apart`, where there is room.
+        clear: how far one may reach, in how far it is from where clothes end.
     """
 
     apart: float
     deep: float
     most: float
     wide: float
+    clear: float
 
 
-_HEAD = _Kind(apart=0.011, deep=0.010, most=0.3, wide=0.75)
-_TRUNK = _Kind(apart=0.032, deep=0.025, most=0.3, wide=0.75)
-_TUCK = _Kind(apart=0.020, deep=0.014, most=0.3, wide=0.60)
+_HEAD = _Kind(apart=0.011, deep=0.010, most=0.3, wide=0.75, clear=0.8)
+_TRUNK = _Kind(apart=0.036, deep=0.025, most=0.3, wide=0.75, clear=0.8)
+_TUCK = _Kind(apart=0.018, deep=0.014, most=0.3, wide=0.62, clear=2.5)
 _LEAST, _NARROW = 0.004, 0.003  # how deep and how wide a disc of a lining is at least [m]
 _THICK, _LIFT = 0.45, 3e-4  # m
 _SIGHT = 2.8  # standard deviations from its middle where a disc ends
 _STEEP = 0.8  # standard deviation of a disc at most, in how deep it lies
+_SLIT = 0.005  # how far from the rim of lips one sees between them [m]
 _SEAM = 0.03  # between rims that are sewn together [m]
-_CLEAR = 1.5  # how far a disc may reach, in how far it is from where clothes end
 _RAYS = 8  # that tell how much room there is
 _BACK, _FRONT = -0.2, 0.3  # of normals along z: the back of a head has hair; before is a lap
 _HEMMED = ("top", "bottom", "hat", "scarf")
@@ -64,6 +66,7 @@ def _joints(*names: str) -> NDArray[np.int64]:
 
 _FACE_JOINTS = _joints("head", "jaw", "neck", "eye")
 _BUST_JOINTS = _joints("head", "jaw", "neck", "eye", "spine", "collar")
+_SHOULDERS = _joints("shoulder")
 _TRUNK_JOINTS = _joints("spine", "collar", "pelvis", "neck")
 _SEAT_JOINTS = _joints("spine", "pelvis", "hip")
 _ARM_JOINTS = _joints("elbow", "wrist")
@@ -93,10 +96,11 @@ class _Rims:
                 points.append(rim)
                 owner.append(np.full(len(rim), k))
                 normals.append(smooth_normals(dressed.posed[k], layer.triangles)[nearest])
-        rims = cls(*(np.concatenate(each) for each in (points, owner, normals)))
+        rims = cls(np.concatenate(points), np.concatenate(owner), np.concatenate(normals))
         parts = np.array([PARTS.index(layer.part) for layer in dressed.layers])[rims.owner]
         ends = np.ones(len(rims.points), bool)
-        for k in np.unique(rims.owner):  # a dress goes on from its trunk to its skirt, and trousers under a top
+        # a dress goes on from its trunk to its skirt, and trousers under a top
+        for k in np.unique(rims.owner):
             mine = rims.owner == k
             others = rims.points[(parts == parts[mine][0]) & ~mine]
             if len(others):
@@ -147,7 +151,8 @@ def line_layers(
         forward = smooth_normals(dressed.posed[number], layer.triangles)[:, 2]
         face = weights[:, _FACE_JOINTS].sum(axis=1)
         if layer.part == "skin":
-            share, kind = weights[:, _BUST_JOINTS].sum(axis=1) * (forward > _BACK), head
+            bust = weights[:, _BUST_JOINTS].sum(axis=1) - weights[:, _SHOULDERS].sum(axis=1)
+            share, kind = bust * (forward > _BACK), head
         else:  # a lap would come out of a skirt: of the seat, only what is behind
             seat = weights[:, _SEAT_JOINTS].sum(axis=1) * (forward < _FRONT)
             share, kind = np.maximum(weights[:, _TRUNK_JOINTS].sum(axis=1), seat), inner
@@ -173,13 +178,12 @@ def _hand_over(dressed: DressedBody, cover: Cover, over: _Rims) -> list[tuple[in
     for k in np.unique(owner):
         mine, layer = cover.select(owner == k), dressed.layers[k]
         nearest = cKDTree(dressed.posed[k]).query(mine.surface)[1]
-        corner = np.zeros((len(layer.vertices), 2), np.int64)  # a triangle of each vertex, and where
+        # a triangle of each vertex, and which of its corners that is
+        corner = np.zeros((len(layer.vertices), 2), np.int64)
         for side in range(3):
             corner[layer.triangles[:, side], 0] = np.arange(len(layer.triangles))
             corner[layer.triangles[:, side], 1] = side
-        sheet = SheetPoints(
-            corner[nearest, 0], np.eye(3)[corner[nearest, 1]], mine.sheet.spacing
-        )
+        sheet = SheetPoints(corner[nearest, 0], np.eye(3)[corner[nearest, 1]], mine.sheet.spacing)
         found.append((int(k), replace(mine, sheet=sheet, surface=dressed.posed[k][nearest])))
     return found
 
@@ -243,16 +247,19 @@ def _line(
     )
     deep = np.minimum(kind.deep, kind.most * thick)
     centre = point - deep[:, None] * normal
+    slit = np.zeros(len(point), bool)
+    lips = np.intersect1d(layer.triangles[outer], layer.triangles[~outer])
+    if len(lips):  # between lips and in nostrils it is dark
+        slit = (cKDTree(vertices[lips]).query(point)[0] < _SLIT) & (through < deep)
     along, room = _find_room(shell, centre, normal)
     if len(rims.points):
-        room = np.minimum(room, _CLEAR * cKDTree(rims.points).query(point)[0][:, None])
+        room = np.minimum(room, kind.clear * cKDTree(rims.points).query(point)[0][:, None])
     # renderers draw a disc by the depth of its middle: a tilted one must not come before cloth
     wide = np.minimum(kind.wide * kind.apart, np.minimum(room / _SIGHT, _STEEP * deep[:, None]))
     keep = (deep >= _LEAST) & (wide.min(axis=1) >= _NARROW)
     return Cover(
         sheet=sheet.select(keep),
-        # in a mouth it is dark
-        surface=np.where((through < 0.6 * deep)[:, None], centre, point)[keep],
+        surface=np.where(slit[:, None], centre, point)[keep],
         points=centre[keep],
         normals=normal[keep],
         along=along[keep],
@@ -262,7 +269,7 @@ def _line(
 
 
 def _find_room(shell: RayCaster, centre: F64, normal: F64) -> tuple[F64, F64]:
-    """The way [N, 3] from a point in a sheet that has most room, and how far it is along and across.
+    """Which way there is most room in a sheet, and how much along it and across.
 
     Args:
         shell: the sheet.
@@ -270,7 +277,7 @@ def _find_room(shell: RayCaster, centre: F64, normal: F64) -> tuple[F64, F64]:
         normal: unit normals of discs there [N, 3].
 
     Returns:
-        Unit vectors, and distances [N, 2] m.
+        Unit vectors [N, 3], and distances [N, 2] m.
     """
     first = tangents(normal, np.zeros_like(normal))
     second = np.cross(normal, first)
@@ -278,9 +285,9 @@ def _find_room(shell: RayCaster, centre: F64, normal: F64) -> tuple[F64, F64]:
     for k in range(_RAYS // 2):
         angle = 2 * np.pi * k / _RAYS
         way = np.cos(angle) * first + np.sin(angle) * second
-        free = [shell.cast(centre, sign * way, _THICK)[1].astype(np.float64) for sign in (1.0, -1.0)]
+        there, back = (shell.cast(centre, sign * way, _THICK)[1] for sign in (1.0, -1.0))
         ways.append(way)
-        room.append(np.minimum(free[0], free[1]))
+        room.append(np.minimum(there, back).astype(np.float64))
     space, rows = np.array(room), np.arange(len(centre))
     best = np.argmax(space, axis=0)
     across = (best + _RAYS // 4) % (_RAYS // 2)

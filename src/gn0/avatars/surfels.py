@@ -35,6 +35,8 @@ _INSET, _INSET_MOST = 1.05, 0.3  # in their standard deviations, and of the thic
 _SKIN_INSET = 1.3  # deeper than cloth, which must not let it through
 _HEMMED = ("hat", "top", "bottom", "socks", "shoes", "scarf")  # what ends where others go on
 _HEM = 1.6  # how far discs stay from where those end, in their standard deviations
+# collars, scarves and aprons have no room for a lining: their discs overlap more instead
+_FLAPS, _FLAP, _FLAP_WIDER = ("top", "hat", "scarf"), 0.03, 1.3  # how thick one is [m]
 _END = 1.5  # standard deviations from its middle where a strand ends
 
 
@@ -145,6 +147,8 @@ def _lay_discs(
     inset = deep * np.sqrt(wide[:, 0] * wide[:, 1])
     thick = dressed.depth(point, normal, number)
     inset = np.minimum(inset, _INSET_MOST * thick)
+    if layer.part in _FLAPS:
+        wide[(thick < _FLAP) | (layer.part == "scarf")] *= _FLAP_WIDER
     within = point
     if layer.part in _HEMMED:
         rim = find_rim(layer, dressed.posed[number])

@@ -43,7 +43,7 @@ class _Kind:
     clear: float
 
 
-_HEAD = _Kind(apart=0.011, deep=0.010, most=0.3, wide=0.75, clear=0.8)
+_HEAD = _Kind(apart=0.0115, deep=0.010, most=0.3, wide=0.75, clear=0.8)
 _TRUNK = _Kind(apart=0.036, deep=0.025, most=0.3, wide=0.75, clear=0.8)
 _TUCK = _Kind(apart=0.018, deep=0.014, most=0.3, wide=0.62, clear=2.5)
 _LEAST, _NARROW = 0.004, 0.003  # how deep and how wide a disc of a lining is at least [m]

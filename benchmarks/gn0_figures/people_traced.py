@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gn0.avatars.avatar import TO_WORLD, Avatar
 from gn0.avatars.body import BodyShape
+from gn0.avatars.dressed_body import DressedBody
 from gn0.avatars.identity import Identity
 from gn0.avatars.layer import Fitting, Layer, smooth_normals
 from gn0.avatars.person import dress_identity, paint_person, shape_identity, space_layers
@@ -22,7 +23,7 @@ from gn0.avatars.person_paint import paint_surfels
 from gn0.avatars.sampling import SheetPoints
 from gn0.avatars.skin_paint import FacePlaces, find_face
 from gn0.avatars.skinning import SkinWeights, pose_joints, skin_points
-from gn0.avatars.surfels import DressedBody, Surfels, cover_layers
+from gn0.avatars.surfels import Surfels, cover_layers
 from gn0.gaussians.film import encode_srgb
 from gn0.geometry import F64
 from gn0.render.camera import Camera

@@ -32,6 +32,8 @@ _FINE = 0.7  # how much of an avatar's own fineness, as on a face, its levels gi
 _FACING, _LOOK = 1.0, 2.0  # grains that a turn of a radian, and a whole step of colour, are worth
 _NEAR = 24  # neighbours whose sizes are much the same
 _DENSE = 0.55  # of the distance of the sixth neighbour, which is 0.76 of the mean distance
+_WIDEST = 1.8  # standard deviation of what is seen at most, in how close others lie
+_INNER = 0.01  # of a lining's mass that counts
 _APART = 1e3  # grains between parts: they never mix
 _SPREAD = (1.0, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
 _HANG = 1.15  # of arms in the pose in which splats are merged [rad]
@@ -94,8 +96,10 @@ def merge_avatar(avatar: Avatar, count: int, *, spread: float = 1.0, inward: flo
     colour = encode_srgb(avatar.albedo).astype(np.float64)
     sizes = np.sort(avatar.scales.astype(np.float64), axis=1)
     area = sizes[:, 1] * sizes[:, 2]
-    group = _group(points, normals, colour, avatar.part, count)
-    mass = area * avatar.opacities
+    # linings are much wider than what lies round them: merged as that is they would come out
+    lining = area > (_WIDEST * _even_sizes(points, avatar.part)) ** 2
+    group = _group(points, normals, colour, avatar.part, count, lining)
+    mass = area * avatar.opacities * np.where(lining, _INNER, 1.0)
     share = mass / np.bincount(group, mass)[group]
 
     def mean(values: NDArray[np.floating]) -> F64:
@@ -135,16 +139,24 @@ def _usual_pose() -> F64:
 
 
 def _group(
-    points: F64, normals: F64, colour: F64, part: NDArray[np.int32], count: int
+    points: F64,
+    normals: F64,
+    colour: F64,
+    part: NDArray[np.int32],
+    count: int,
+    lining: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
-    """Number of the group of each splat [N], about `count` groups without gaps in numbers."""
+    """Number of the group of each splat [N], about `count` groups without gaps in numbers.
+
+    Those of a `lining` [N] join the groups of others, where their part has any.
+    """
     # so much of the surface a group has, less where splats lie closely
     own = _even_sizes(points, part)
     worth = own ** (2.0 * _FINE)
     grain = np.sqrt(np.sum(own**2 / worth) / count * worth)
     order = np.lexsort((morton_codes(points.astype(np.float32)), part))
     # middles to begin with: along a curve that fills the space, one for each share of worth
-    along = np.cumsum(worth[order])
+    along = np.cumsum(np.where(lining, 0.0, worth)[order])
     wanted = (np.arange(count) + 0.5) * along[-1] / count
     first = np.unique(order[np.minimum(np.searchsorted(along, wanted), len(order) - 1)])
     place = np.column_stack(

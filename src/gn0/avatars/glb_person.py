@@ -21,6 +21,7 @@ from PIL import Image
 
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.body_file import load_body
+from gn0.avatars.cover import THICKNESS, disc_axes
 from gn0.avatars.layer import PARTS, smooth_normals
 from gn0.avatars.motion.glb_skin import GltfRest, open_gltf_rest
 from gn0.avatars.motion.name_maps import JointMap, map_joints, rest_axes
@@ -29,7 +30,7 @@ from gn0.avatars.motion.standing_joints import hip_height_of
 from gn0.avatars.sampling import SheetPoints, spread_points
 from gn0.avatars.skeleton import INDEX, JOINT_COUNT, PARENTS
 from gn0.avatars.skinning import pack_weights, unskin_points
-from gn0.avatars.surfels import THICKNESS, blended_turns, disc_axes
+from gn0.avatars.surfels import blended_turns
 from gn0.errors import FormatError
 from gn0.gaussians.film import decode_srgb
 from gn0.gaussians.gltf_document import find_rows

@@ -16,7 +16,7 @@ from gn0.avatars.layer import Cut, Fitting, Layer, body_layer
 from gn0.avatars.skeleton import INDEX
 from gn0.geometry import F64
 
-_SEEN = 0.03  # of a leg within the hem of a skirt [m]
+_SEEN = 0.012  # of a leg within the hem of a skirt [m]
 _RIM, _SECTORS = 0.015, 32  # what is kept within a skirt's rim [m]; where its height is looked at
 SUIT, SKIRT = "helper-tights", "helper-skirt"
 

@@ -73,7 +73,8 @@ def build_person(identity: Identity, *, name: str = "", density: float = 1.0) ->
     face = find_face(shape.vertices, shape.joints)
     layers = dress_identity(identity, fitting, face)
     spacing = space_layers(layers, shape, density)
-    surfels = cover_layers(layers, spacing, fitting, random_stream(identity.seed, "surfels"))
+    stream = random_stream(identity.seed, "surfels")
+    surfels = cover_layers(layers, spacing, fitting, stream, density)
     return paint_person(identity, layers, surfels, shape, face, name=name)
 
 

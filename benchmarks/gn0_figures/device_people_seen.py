@@ -76,8 +76,8 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
     warm = 0 if tiny else _WARM
     if not tiny:
         begin = time.perf_counter()
-        for walk in calls.values():
-            walk(0)
+        for call in calls.values():
+            call(0)
         took = time.perf_counter() - begin
         warm = max(min(warm, round(_SECONDS / took / 3)), 1)
         rounds = max(min(rounds, round(_SECONDS / took) - warm), 3)

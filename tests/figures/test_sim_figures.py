@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.testing.scenes import build_floor_plan, build_map_scene
 from gn0_figures import sim as figures
 from gn0_figures.board import FigureContext
+from gn0_figures.people_sim import room_to_go
 
 
 def test_a_walk_through_walls_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,3 +58,15 @@ def test_ids_are_unique_and_in_the_room() -> None:
     assert len(ids) == len(set(ids))
     assert all(name.startswith("sim.") for name in ids)
     assert np.isfinite([figure.minutes for figure in figures.FIGURES]).all()
+
+
+def test_who_is_shut_in_is_told_from_who_has_room_to_go() -> None:
+    """A hallway 0.4 m wide for centres, 2 m long: who stands in it leaves the part before it."""
+    cells = np.full((20, 60), OCCUPIED, np.uint8)
+    cells[8:12, 10:30] = FREE
+    hall = OccupancyGrid(cells, 0.1, (0.0, 0.0))
+    place = np.array([1.2, 1.0])
+    alone = room_to_go(hall, place, np.zeros((0, 2)))
+    assert alone == pytest.approx(0.8, abs=0.01)
+    assert room_to_go(hall, place, np.array([[1.75, 1.0]])) == pytest.approx(0.12, abs=0.03)
+    assert room_to_go(hall, place, np.array([[5.0, 1.0]])) == alone

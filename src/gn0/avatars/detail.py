@@ -32,7 +32,7 @@ _FINE = 0.7  # how much of an avatar's own fineness, as on a face, its levels gi
 _FACING, _LOOK = 1.0, 2.0  # grains that a turn of a radian, and a whole step of colour, are worth
 _NEAR = 24  # neighbours whose sizes are much the same
 _DENSE = 0.55  # of the distance of the sixth neighbour, which is 0.76 of the mean distance
-_WIDEST = 1.8  # standard deviation of what is seen at most, in how close others lie
+_WIDEST = 1.5  # standard deviation of what is seen at most, in how close others lie
 _INNER = 0.01  # of a lining's mass that counts
 _APART = 1e3  # grains between parts: they never mix
 _SPREAD = (1.0, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
@@ -96,8 +96,7 @@ def merge_avatar(avatar: Avatar, count: int, *, spread: float = 1.0, inward: flo
     colour = encode_srgb(avatar.albedo).astype(np.float64)
     sizes = np.sort(avatar.scales.astype(np.float64), axis=1)
     area = sizes[:, 1] * sizes[:, 2]
-    # linings are much wider than what lies round them: merged as that is they would come out
-    lining = area > (_WIDEST * _even_sizes(points, avatar.part)) ** 2
+    lining = _find_linings(points, area, avatar.part)
     group = _group(points, normals, colour, avatar.part, count, lining)
     mass = area * avatar.opacities * np.where(lining, _INNER, 1.0)
     share = mass / np.bincount(group, mass)[group]
@@ -129,6 +128,18 @@ def merge_avatar(avatar: Avatar, count: int, *, spread: float = 1.0, inward: flo
         part=avatar.part[np.unique(group, return_index=True)[1]],
         weights=weights,
     )
+
+
+def _find_linings(points: F64, area: F64, part: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which splats [N] are much wider than what lies round them: merged like that they come out.
+
+    Args:
+        points: where they are [N, 3] m.
+        area: products of their two larger standard deviations [N] m².
+        part: of each [N].
+    """
+    found: NDArray[np.bool_] = area > (_WIDEST * _even_sizes(points, part)) ** 2
+    return found
 
 
 def _usual_pose() -> F64:

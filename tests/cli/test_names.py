@@ -39,6 +39,22 @@ def test_the_lists_hold_what_other_commands_take(capsys: pytest.CaptureFixture[s
     assert "lerobot-v3" in capsys.readouterr().out
 
 
+def test_policies_that_say_late_what_they_read_are_listed(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Late:
+        """Says when it is built."""
+
+        @property
+        def sensors(self) -> frozenset[str]:
+            return frozenset({"rgb"})
+
+    monkeypatch.setattr("gn0.plugins.plugin_names", lambda kind: ("late",))
+    monkeypatch.setattr("gn0.plugins.get_plugin", lambda kind, name: Late)
+    assert main(["list", "policies"]) == 0
+    assert "late" in (out := capsys.readouterr().out) and "what its options say" in out
+
+
 def test_completion_knows_every_verb_and_every_flag_of_its_help(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Annotated, Literal, get_args
 
 import tyro
@@ -59,10 +59,9 @@ def _policies() -> Iterator[tuple[str, str]]:
 
     for name in plugin_names("policy"):
         policy = get_plugin("policy", name)
-        reads = (
-            ", ".join(sorted(getattr(policy, "sensors", ()) or ()))
-            or "what its options say, or nothing"
-        )
+        said = getattr(policy, "sensors", ())
+        known = said if isinstance(said, Collection) else ()  # a property: once it is built
+        reads = ", ".join(sorted(known)) or "what its options say, or nothing"
         if hasattr(policy, "reset_privileged"):
             reads = "the simulator itself: an oracle"
         yield name, f"{_first_line(policy)} [reads {reads}]"

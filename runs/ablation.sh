@@ -521,7 +521,7 @@ finish() { # JOB STATUS
     echo "after $took s of this call" > "$OUT/jobs/$name.cut"
     say "cut $name, $took s; the next call goes on with it"
   else
-    why=$(grep -a 'gn0:\|Error\|→' "$OUT/log/$name" | tail -2 | tr '\n' ' ')
+    why=$(grep -a 'gn0:\|Error\|→' "$OUT/log/$name" | tail -2 | tr '\n' ' ') || true  # one that was killed says nothing
     echo "status $2 after $took s: ${why:-see $OUT/log/$name}" > "$OUT/jobs/$name.failed"
     say "failed $name: $(cat "$OUT/jobs/$name.failed")"
   fi

@@ -640,6 +640,24 @@ def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> 
     assert call("no-such-job").returncode == 2
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_job_that_is_killed_without_a_word_ends_no_other(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (tmp_path / "python").write_text("""#!/bin/bash
+case "$*" in *longer*) kill -9 $$ ;; *) sleep 2 ;; esac
+""")
+    (tmp_path / "python").chmod(0o755)
+    _have_homes(out, "a", "b", "c", "exam")
+    (out / "jobs" / "maps-sft-0.done").write_text("elsewhere")
+    done = subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "maps-longer-0", "maps-dapo-0"],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0,1"},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert "failed maps-longer-0: status 137" in done.stdout
+    assert "done maps-dapo-0" in done.stdout and done.returncode == 1
+
+
 def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)

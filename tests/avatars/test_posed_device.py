@@ -13,14 +13,14 @@ from gn0.avatars.avatar import SHADOWS, Avatar
 from gn0.avatars.posed_device import PosedBankDevice, posing_of, posings_of, rest_of
 from gn0.avatars.poses import standing_pose, stride_pose
 from gn0.device.host import DeviceHost
-from gn0.errors import ConfigError, RenderError
+from gn0.errors import ConfigError, DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import F64, rotation_from_quaternion, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.posed import bring_rest, place_codes, pose_clouds
-from gn0.render.cuda.posed_places import SLAB, PosedPlaces
+from gn0.render.cuda.posed import bring_rest, place_codes, pose_clouds, ready_poses
+from gn0.render.cuda.posed_places import SLAB, Places, PosedPlaces
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
@@ -272,24 +272,74 @@ def test_who_made_room_comes_back_the_same(batch: RendererBatch) -> None:
     assert look(4, 2) == first[::-1] and bank.evicted == 4 and set(asked[4:]) <= {2, 4}
 
 
-def test_memory_of_clouds_is_free_again_when_nobody_holds_it() -> None:
+def test_memory_of_clouds_is_free_again_when_it_is_given_back() -> None:
     device = DeviceHost()
     places, before = PosedPlaces(device), device.used
-    held = places.take([5000, 5100, 3 * SLAB, 5000])
-    spans = sorted((one.pointer, one.pointer + one.nbytes) for one in held)
-    assert all(a[1] <= b[0] for a, b in pairwise(spans)), "none in another's"
-    assert held[1].nbytes >= 5100 and held[2].nbytes >= 3 * SLAB
-    assert before + 4 * SLAB >= device.used > before + 3 * SLAB
-    gone = held.pop(1).pointer
-    assert places.take([5100])[0].pointer == gone
-    held.clear()
+    sizes = np.array([5000, 5100, 3 * SLAB, 5000])
+    held = places.take(sizes)
+    spans = sorted(zip(held.pointers.tolist(), (held.pointers + sizes).tolist(), strict=True))
+    assert all(int(a[1]) <= int(b[0]) for a, b in pairwise(spans)), "none in another's"
+    assert len(set(held.handles.tolist())) < len(sizes) == len(set(held.pointers.tolist()))
+    assert before + 5 * SLAB >= device.used > before + 3 * SLAB
+    second = Places(held.pointers[1:2], held.handles[1:2])
+    places.give(second)
+    assert places.take(np.array([5100])).pointers == second.pointers
+    places.give(held)
     kept = device.used
-    assert before + 4 * SLAB >= kept > before, "kept for who comes next"
-    again = places.take([5000, 3 * SLAB])
+    assert before + 5 * SLAB >= kept > before, "kept for who comes next"
+    again = places.take(sizes[[0, 2]])
     assert device.used == kept
-    again.clear()
+    places.give(again)
     places.let_go()
     assert device.used == before
+
+
+def test_many_places_take_few_allocations_and_empty_slabs_go() -> None:
+    """Places never overlap, whatever is given back and taken again; spare memory is bounded."""
+    device, drawn = DeviceHost(limit=2**30), np.random.default_rng(0)
+    places, before = PosedPlaces(device, spare=4 * SLAB), device.used
+    held: dict[int, tuple[int, int]] = {}  # size and handle by pointer
+    for _ in range(60):
+        sizes = drawn.choice([3000, 9000, 200_000, 3 * SLAB], int(drawn.integers(1, 40)))
+        taken = places.take(sizes)
+        for pointer, handle, size in zip(*(a.tolist() for a in (*taken, sizes)), strict=True):
+            assert pointer not in held
+            held[pointer] = int(size), handle
+        spans = sorted((pointer, pointer + size) for pointer, (size, _) in held.items())
+        assert all(a[1] <= b[0] for a, b in pairwise(spans))
+        gone = drawn.permutation(list(held))[: len(held) * 2 // 3]
+        handles = np.array([held.pop(int(pointer))[1] for pointer in gone], np.int64)
+        places.give(Places(gone.astype(np.uint64), handles))
+    everybody = np.array(list(held), np.uint64)
+    places.give(Places(everybody, np.array([handle for _, handle in held.values()], np.int64)))
+    assert device.used - before <= 4 * SLAB, "spare memory"
+    short = PosedPlaces(DeviceHost(limit=8 * SLAB))
+    with pytest.raises(DeviceMemoryError):
+        short.take(np.full(10, SLAB))
+    assert len(short.take(np.full(7, SLAB)).handles) == 7, "nothing was lost by the refusal"
+
+
+def test_the_table_s_own_memory_is_given_back_where_the_device_is_full() -> None:
+    """A launch that finds no room takes no place for good."""
+    device = DeviceHost()
+    batch = RendererBatch(device, FLOAT, memory=2**20)
+    rest = batch.bring_rest(rest_of(small_person(0, 0.1)))
+    one = posing_of(small_person(0, 0.1), rest, stride_pose())
+    ready, none = ready_poses([one]), np.zeros(1, np.int64)
+    slots = batch.pose_parts([rest], none, ready)
+    used, device.limit = batch._named.used, device.used + 64
+    with pytest.raises(DeviceMemoryError):
+        batch.pose_parts([rest], none, ready)
+    device.limit = 2**33
+    again = batch.pose_parts([rest], none, ready)
+    assert again != slots and batch._named.used == 2 * used
+    a, b = (batch._named.table.clouds[slot] for slot in (*slots, *again))
+    assert a is not None and b is not None and b.splats.pointer != a.splats.pointer
+    assert np.array_equal(a.splats.numpy(), b.splats.numpy())
+    assert batch.slot_of(batch.name_part(again[0])) == again[0]
+    batch.drop_parts(again)
+    with pytest.raises(RenderError, match="no cloud is named"):
+        batch.slot_of(batch.name_part(again[0]))
 
 
 def test_who_reaches_too_far_is_named_instead() -> None:

@@ -80,8 +80,10 @@ class HoldsParts(Protocol):
         """Bring a person at rest there."""
         ...
 
-    def pose_parts(self, rests: Sequence[RestDevice], ready: ReadyPoses) -> list[int]:
-        """Slots of clouds in poses."""
+    def pose_parts(
+        self, rests: Sequence[RestDevice], which: NDArray[np.integer], ready: ReadyPoses
+    ) -> list[int]:
+        """Slots of clouds in poses, `which` of those at rest in each."""
         ...
 
     def drop_parts(self, slots: Sequence[int]) -> None:
@@ -327,7 +329,7 @@ class PosedBankDevice:
         frames = np.zeros(len(keys), _FRAME)
         frames[old] = self._frames.read(framed[old])
         frames["kind"][new] = [self._kind_number(one) for one in poses.values()]
-        kinds, counts = np.unique(frames["kind"], return_counts=True)
+        kinds, which, counts = np.unique(frames["kind"], return_inverse=True, return_counts=True)
         sizes = np.array([kind.size for kind in self._kinds])
         self._make_room(int(sizes[kinds] @ counts))
         for number in kinds.tolist():
@@ -336,7 +338,7 @@ class PosedBankDevice:
                 n = int(np.flatnonzero(frames["kind"] == number)[0])
                 avatar = (poses[n] if n in poses else pose(keys[n])).avatar
                 kind.rest = self.renderer.bring_rest(rest_of(avatar))
-        rests = [self._rest(number) for number in frames["kind"].tolist()]
+        rests = [self._rest(number) for number in kinds.tolist()]
         rows = np.empty((len(keys), row_width(SHADOWS)), np.float32)
         rows[old] = self._postures.read(turned[old])
         if poses:
@@ -346,14 +348,14 @@ class PosedBankDevice:
                 [(one.avatar, *turn) for one, turn in zip(wanted, turns, strict=True)]
             )
             ready = ready_all(
-                [rests[n] for n in poses],
+                *(rests, which[new]),
                 *(placed.transforms, placed.turns, shadow_places(placed.joints)),
             )
             rows[new], frames["box"][new], frames["step"][new] = ready
             self._postures.keep([postures[n] for n in poses], ready.rows)
             self._frames.keep([keys[n] for n in poses], frames[new])
         ready = ReadyPoses(rows, frames["box"].copy(), frames["step"].copy())
-        slots = self.renderer.pose_parts(rests, ready)
+        slots = self.renderer.pose_parts(rests, which, ready)
         self.launches += 1
         self._stale = True
         self._hold(keys, slots, frames["kind"])

@@ -407,7 +407,7 @@ class SlotFinder:
         self._places = 1 << max(2 * len(slots), 16).bit_length()
         keys, found = place_codes(codes, slots, self._places)
         upload = self._device.upload
-        self._held = upload(keys), upload(found), self._device.zeros(most, np.uint32)
+        self._held = upload(keys), upload(found), self._device.zeros((2, most), np.uint32)
 
     def find(self, codes: DeviceArray, chosen: DeviceArray, stamp: int) -> list[int]:
         """Write the slots of codes uint64 [I] to int32 [I]; 0 and those that are in none: -1.
@@ -416,21 +416,21 @@ class SlotFinder:
             The codes that are in none, once each, in ascending order.
         """
         assert self._held is not None
-        keys, slots, stamps = self._held
+        keys, slots, uses = self._held
         count = len(codes)
         missing = self._device.empty(count + 1, np.uint64)
         self._device.fill(missing[:1], 0)
         record = FindSlots(
             *(codes, np.uint32(count), keys, slots, np.uint32(self._places)),
-            *(np.uint32(stamp), stamps, chosen, missing),
+            *(np.uint32(stamp), uses[0], uses[1], chosen, missing),
         )
         self._device.load(SOURCE)["find_slots"].launch(-(-count // 128), 128, record)
         lacking = int(missing[:1].numpy()[0])
         return np.unique(missing[1 : 1 + lacking].numpy()).tolist() if lacking else []
 
-    def stamps(self) -> NDArray[np.uint32]:
-        """When each slot was last found, by the stamps given since `set`."""
-        return np.zeros(0, np.uint32) if self._held is None else self._held[2].numpy()
+    def uses(self) -> NDArray[np.uint32]:
+        """When each slot was last found, and by how many stamps, since `set` [2, slots]."""
+        return np.zeros((2, 0), np.uint32) if self._held is None else self._held[2].numpy()
 
 
 def place_codes(

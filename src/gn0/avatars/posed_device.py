@@ -173,8 +173,9 @@ class PosedBankDevice:
 
     What is seldom asked for by its bytes makes room, in powers of two, of those the newest first; a
     call's askings count half 256 calls on. So a cycle that does not fit keeps a part of itself, and
-    what a thousand agents ask for again and again outlasts what one of them asked for once. Postures that were worked out are
-    kept on the host, so that a cloud that made room comes back for little.
+    what a thousand agents ask for again and again outlasts what one of them asked for once.
+    Postures that were worked out are kept on the host, so that a cloud that made room comes back
+    for little.
 
     Args:
         renderer: in whose table they are.
@@ -367,10 +368,8 @@ class PosedBankDevice:
             placed = _place_all(
                 [(one.avatar, *turn) for one, turn in zip(wanted, turns, strict=True)]
             )
-            ready = ready_all(
-                *(rests, which[new]),
-                *(placed.transforms, placed.turns, shadow_places(placed.joints)),
-            )
+            floors = shadow_places(placed.joints)
+            ready = ready_all(rests, which[new], placed.transforms, placed.turns, floors)
             rows[new], frames["box"][new], frames["step"][new] = ready
             self._postures.keep([postures[n] for n in poses], ready.rows)
             self._frames.keep([keys[n] for n in poses], frames[new])

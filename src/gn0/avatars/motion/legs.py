@@ -8,7 +8,6 @@ bodies, floor at y = 0.
 from __future__ import annotations
 
 import math
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -38,7 +38,7 @@ class PartClouds(Sequence[CloudDevice | None]):
     @overload
     def __getitem__(self, slot: slice) -> list[CloudDevice | None]: ...
 
-    def __getitem__(self, slot: int | slice) -> CloudDevice | None | list[CloudDevice | None]:
+    def __getitem__(self, slot: int | slice) -> CloudDevice | list[CloudDevice | None] | None:
         if isinstance(slot, slice):
             return [self[n] for n in range(*slot.indices(len(self)))]
         rest = self.rests[slot]

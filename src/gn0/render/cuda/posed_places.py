@@ -173,5 +173,3 @@ def _room(size: int) -> int:
     """A size rounded up by at most an eighth, so that people of about a size share slabs."""
     grain = max(_GRAIN, 1 << max((size - 1).bit_length() - 4, 0))
     return -(-size // grain) * grain
-
-

@@ -7,7 +7,7 @@ does there; on the host emulation it is the wall clock and shows only that the c
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,16 +131,21 @@ def interleave(
     """
     wake(device, contenders)
     spent: dict[str, list[float]] = {name: [] for name in contenders}
-    names = list(contenders)
     for turn in range(warm + rounds):
-        for k in random_stream(0, "figure rounds", str(turn)).permutation(len(names)):
-            name = names[k]
+        for name in turn_order(contenders, turn):
             taken, wall = time_call(device, contenders[name], turn)
             if turn >= warm:
                 spent[name].append(taken)
                 if walls is not None:
                     walls.setdefault(name, []).append(wall)
     return spent
+
+
+def turn_order(contenders: Iterable[str], turn: int) -> list[str]:
+    """The order of contenders in a round."""
+    names = list(contenders)
+    order = random_stream(0, "figure rounds", str(turn)).permutation(len(names))
+    return [names[k] for k in order]
 
 
 def median(values: list[float]) -> float:

@@ -25,14 +25,22 @@ from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.testing.scenes import build_map_scene, build_point_episodes
 from gn0_figures.board import FigureContext, FigureRow, row_at_least
-from gn0_figures.device import Contender, interleave, is_emulation, median, memory_left
+from gn0_figures.device import (
+    Contender,
+    is_emulation,
+    median,
+    memory_left,
+    time_call,
+    turn_order,
+    wake,
+)
 from gn0_figures.device_parts import SHARES
 from gn0_figures.device_rates import WALK
 from gn0_figures.flat import build_flat, flat_floor
 from gn0_figures.people_sim import FOLLOWER
 
 AGENTS, EPISODES, IDENTITIES = 1024, 64, 16
-_STEPS, _ROUNDS, _WARM = 24, 12, 6
+_STEPS, _ROUNDS, _WARM, _LEAST = 24, 12, 6, 3
 _SECONDS = 240.0  # of all rounds together: where people have to be posed anew, there are fewer
 
 
@@ -73,16 +81,9 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
         calls[name] = walk
         walk(0)
         taken[name] = before - memory_left(ctx.device)
-    warm = 0 if tiny else _WARM
-    if not tiny:
-        begin = time.perf_counter()
-        for call in calls.values():
-            call(0)
-        took = time.perf_counter() - begin
-        warm = max(min(warm, round(_SECONDS / took / 3)), 1)
-        rounds = max(min(rounds, round(_SECONDS / took) - warm), 3)
-        ctx.progress("rounds of steps among people", 0, warm + rounds)
-    times = interleave(ctx.device, calls, rounds, warm=warm)
+        ctx.progress(f"agents among {people} people each have walked", len(envs), 1 + len(shares))
+    times, warm = _walk_by_turns(ctx, calls, rounds, tiny)
+    rounds = len(times["0"])
     for env in envs.values():
         env.synchronize()
     none = np.array(times["0"])
@@ -90,8 +91,8 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
         f"standard flat of {len(scene.gaussians) / 1e6:g} M splats, visible sets, {count} agents, "
         f"RGB-D of 224x224, {len(episodes)} episodes of at most 100 steps, whose people are of "
         f"{IDENTITIES} identities and walk at 0.5 to 1.3 m/s; random walk with 1 % STOP; banks "
-        f"filled as they go, counted from step {(warm + 2) * steps} or later on; medians of "
-        f"{rounds} rounds of {steps} steps by turns"
+        f"filled as they go, counted from step {(warm + 1) * steps} or later on; medians of "
+        f"{rounds} rounds of {steps} steps by turns, as many as fit into {_SECONDS:.0f} s"
     )
     rate = steps * count / median(times["0"]) * 1e3
     rows = [
@@ -121,6 +122,32 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
         else:
             rows.append(row_at_least(title, share, least, "times", detail))
     return rows
+
+
+def _walk_by_turns(
+    ctx: FigureContext, calls: dict[str, Contender], rounds: int, tiny: bool
+) -> tuple[dict[str, list[float]], int]:
+    """Milliseconds of each, round by round until the time is up; how many were not counted."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    wake(ctx.device, calls)
+    warm, begin, turn = 0, time.perf_counter(), 0
+    while len(times["0"]) < rounds:
+        since = time.perf_counter() - begin
+        if len(times["0"]) >= _LEAST and since * (turn + 1) > _SECONDS * turn:
+            break
+        found = {
+            name: time_call(ctx.device, calls[name], turn)[0] for name in turn_order(calls, turn)
+        }
+        # the banks fill: a third of the time, or so many rounds
+        counts = tiny or warm >= _WARM or since > _SECONDS / 3
+        if counts:
+            for name, taken in found.items():
+                times[name].append(taken)
+        warm += not counts
+        turn += 1
+        spent = ", ".join(f"{name}: {taken:,.0f}" for name, taken in sorted(found.items()))
+        ctx.progress(f"rounds among people, the last in ms: {spent}", turn, _WARM + rounds)
+    return times, warm
 
 
 def _found(env: VectorEnvDevice) -> tuple[int, int]:

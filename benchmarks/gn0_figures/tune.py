@@ -4,7 +4,8 @@
 `GN0_DEVICE` names (the host emulation draws tiny ones), and for the scenes of our own in the folder
 that `GN0_FIGURE_SCENES` names; `--sweep` also tries other kernel sizes and says whether their
 pictures are the same bytes. `--people` times kernels one by one instead, of pictures and of steps
-among people, see `gn0_figures.tune_people_drawn` and `gn0_figures.tune_people`. Nothing is written.
+among people, see `gn0_figures.tune_people_drawn` and `gn0_figures.tune_people`; with `--sweep` of
+pictures for other sizes as well. Nothing is written.
 """
 
 from __future__ import annotations
@@ -246,13 +247,13 @@ def time_case(case: TuneCase, device: Device, tuning: Tuning, repeat: int) -> st
 
 
 def main(arguments: list[str]) -> None:
-    """`[--sweep] [part of a case's name]`, or `--people`."""
+    """`[--sweep] [part of a case's name]`, or `--people [--sweep]`."""
     sweep = "--sweep" in arguments
     only = next((word for word in arguments if not word.startswith("--")), "")
     device = open_figure_device()
     if "--people" in arguments:
         print(describe_device(device))
-        print_people(device)
+        print_people(device, sweep=sweep)
         for line in list_lines(device):
             print(line, flush=True)
         return

@@ -37,7 +37,8 @@ from gn0.render.cuda.posed import (
     row_width,
 )
 
-POSTURES = 128 * 2**20 // (4 * row_width(SHADOWS))  # kept on the host
+POSTURES = 128 * 2**20  # bytes on the host
+_FADES = 256  # calls in which an asking comes to count half
 FRAMES = 2**18  # boxes of postures at levels of detail, kept likewise
 _FRAME = np.dtype([("box", "<f4", 7), ("step", "<f4"), ("kind", "<i4")])
 
@@ -80,8 +81,10 @@ class HoldsParts(Protocol):
         """Bring a person at rest there."""
         ...
 
-    def pose_parts(self, rests: Sequence[RestDevice], ready: ReadyPoses) -> list[int]:
-        """Slots of clouds in poses."""
+    def pose_parts(
+        self, rests: Sequence[RestDevice], which: NDArray[np.integer], ready: ReadyPoses
+    ) -> list[int]:
+        """Slots of clouds in poses, `which` of those at rest in each."""
         ...
 
     def drop_parts(self, slots: Sequence[int]) -> None:
@@ -168,14 +171,18 @@ class _Kind:
 class PosedBankDevice:
     """Posed clouds on a device by key, under a budget. For one thread.
 
-    Postures that were worked out are kept on the host, 128 MB at most, so that a cloud that made
-    room comes back for little.
+    What is seldom asked for by its bytes makes room, in powers of two, of those the newest first; a
+    call's askings count half 256 calls on. So a cycle that does not fit keeps a part of itself, and
+    what a thousand agents ask for again and again outlasts what one of them asked for once.
+    Postures that were worked out are kept on the host, so that a cloud that made room comes back
+    for little.
 
     Args:
         renderer: in whose table they are.
         budget: bytes of all of them together, boxes included; what people are at rest is not
             counted (`rest_bytes`), nor what is free between them. A call whose own people need
             more gets it, with a warning the first time.
+        postures: bytes of the host for postures at most, taken as they are needed.
 
     Attributes:
         hits, misses: how many clouds were there when they were asked for, and how many not.
@@ -186,7 +193,9 @@ class PosedBankDevice:
         ConfigError: the budget is not above 0.
     """
 
-    def __init__(self, renderer: HoldsParts, budget: int = BUDGET) -> None:
+    def __init__(
+        self, renderer: HoldsParts, budget: int = BUDGET, *, postures: int = POSTURES
+    ) -> None:
         if budget <= 0:
             raise ConfigError(
                 f"{budget} bytes for posed people",
@@ -198,15 +207,19 @@ class PosedBankDevice:
         self._held: dict[Hashable, int] = {}  # slots
         self._kinds: list[_Kind] = []
         self._numbers: dict[Hashable, int] = {}  # of kinds, by their keys
-        self._postures = KeptRows((np.float32, (row_width(SHADOWS),)), POSTURES)
+        width = row_width(SHADOWS)
+        self._postures = KeptRows((np.float32, (width,)), max(postures // (4 * width), 1))
         self._frames = KeptRows(_FRAME, FRAMES)
         self._bytes = self._call = 0
         self._warned = False
-        # of each slot: key, kind (-1: free), code (0: its key is none), call that asked for it last
+        # of each slot: key, kind (-1: free), code (0: its key is none), call that asked for it
+        # last, and how often it was asked for, older askings less
         self._keys: list[Hashable] = []
         self._kind_of = np.zeros(0, np.int64)
         self._codes = np.zeros(0, np.uint64)
         self._used = np.zeros(0, np.int64)
+        self._asked = np.zeros(0)
+        self._faded = 0  # the call to which those have faded
         self._finder = SlotFinder(renderer.device)
         self._stale = True  # whether the finder does not know what is held
         weakref.finalize(self, _let_go, renderer, self._held).atexit = False
@@ -235,7 +248,7 @@ class PosedBankDevice:
     def fetch(self, wanted: Sequence[tuple[Hashable, AvatarPose]]) -> list[int]:
         """The slots of clouds of one call, made by one launch where they are not here.
 
-        They stay until the next call; what was asked for least recently makes room for them.
+        They stay until the next call; what was asked for least makes room for them.
 
         Args:
             wanted: a key and what poses it, for each; keys may repeat.
@@ -253,8 +266,9 @@ class PosedBankDevice:
             else:
                 self.misses += 1
                 lacking[key] = pose
-            if held is not None:
+            if held is not None and self._used[held] < self._call:
                 self._used[held] = self._call
+                self._asked[held] += 1.0
         self._fill(list(lacking), list(lacking), lacking.__getitem__)
         return [self._held[key] for key, _ in wanted]
 
@@ -298,17 +312,25 @@ class PosedBankDevice:
 
     def _look(self, codes: DeviceArray, chosen: DeviceArray) -> list[int]:
         if self._stale:
-            self._take_stamps()
             slots = np.flatnonzero(self._codes)
             self._finder.set(self._codes[slots], slots.astype(np.int32), max(len(self._used), 1))
             self._stale = False
         return self._finder.find(codes, chosen, self._call)
 
     def _take_stamps(self) -> None:
-        """Learn from the device what was used when."""
-        stamps = self._finder.stamps()
-        used = self._used[: len(stamps)]
-        np.maximum(used, stamps[: len(used)], out=used)
+        """Learn from the device what was used when, and how often; once, before it forgets."""
+        stamps, asked = self._finder.uses()
+        if self._stale or not len(stamps):
+            return
+        count = min(len(stamps), len(self._used))
+        np.maximum(self._used[:count], stamps[:count], out=self._used[:count])
+        self._asked[:count] += asked[:count]
+        self._stale = True
+
+    def _fade(self) -> None:
+        """Let what was asked for before count less; all askings since count as of now."""
+        self._asked *= 0.5 ** ((self._call - self._faded) / _FADES)
+        self._faded = self._call
 
     def _fill(
         self,
@@ -319,6 +341,7 @@ class PosedBankDevice:
         """Make the clouds of keys that are not held, each once, by one launch."""
         if not keys:
             return
+        self._fade()
         self._take_stamps()
         framed, turned = self._frames.find(keys), self._postures.find(postures)
         known = (framed >= 0) & (turned >= 0)
@@ -327,7 +350,7 @@ class PosedBankDevice:
         frames = np.zeros(len(keys), _FRAME)
         frames[old] = self._frames.read(framed[old])
         frames["kind"][new] = [self._kind_number(one) for one in poses.values()]
-        kinds, counts = np.unique(frames["kind"], return_counts=True)
+        kinds, which, counts = np.unique(frames["kind"], return_inverse=True, return_counts=True)
         sizes = np.array([kind.size for kind in self._kinds])
         self._make_room(int(sizes[kinds] @ counts))
         for number in kinds.tolist():
@@ -336,7 +359,7 @@ class PosedBankDevice:
                 n = int(np.flatnonzero(frames["kind"] == number)[0])
                 avatar = (poses[n] if n in poses else pose(keys[n])).avatar
                 kind.rest = self.renderer.bring_rest(rest_of(avatar))
-        rests = [self._rest(number) for number in frames["kind"].tolist()]
+        rests = [self._rest(number) for number in kinds.tolist()]
         rows = np.empty((len(keys), row_width(SHADOWS)), np.float32)
         rows[old] = self._postures.read(turned[old])
         if poses:
@@ -345,15 +368,13 @@ class PosedBankDevice:
             placed = _place_all(
                 [(one.avatar, *turn) for one, turn in zip(wanted, turns, strict=True)]
             )
-            ready = ready_all(
-                [rests[n] for n in poses],
-                *(placed.transforms, placed.turns, shadow_places(placed.joints)),
-            )
+            floors = shadow_places(placed.joints)
+            ready = ready_all(rests, which[new], placed.transforms, placed.turns, floors)
             rows[new], frames["box"][new], frames["step"][new] = ready
             self._postures.keep([postures[n] for n in poses], ready.rows)
             self._frames.keep([keys[n] for n in poses], frames[new])
         ready = ReadyPoses(rows, frames["box"].copy(), frames["step"].copy())
-        slots = self.renderer.pose_parts(rests, ready)
+        slots = self.renderer.pose_parts(rests, which, ready)
         self.launches += 1
         self._stale = True
         self._hold(keys, slots, frames["kind"])
@@ -381,11 +402,12 @@ class PosedBankDevice:
             self._kind_of = np.append(self._kind_of, np.full(more, -1))
             self._codes = np.append(self._codes, np.zeros(more, np.uint64))
             self._used = np.append(self._used, np.zeros(more, np.int64))
+            self._asked = np.append(self._asked, np.zeros(more))
         for key, slot in zip(keys, slots, strict=True):
             self._held[key] = slot
             self._keys[slot] = key
         self._codes[slots] = [key if isinstance(key, int) else 0 for key in keys]
-        self._kind_of[slots], self._used[slots] = kinds, self._call
+        self._kind_of[slots], self._used[slots], self._asked[slots] = kinds, self._call, 1.0
         self._count(kinds, 1)
 
     def _count(self, kinds: NDArray[np.integer], more: int) -> None:
@@ -396,14 +418,16 @@ class PosedBankDevice:
             self._bytes += more * int(count) * kind.size
 
     def _make_room(self, wanted: int) -> None:
-        """Drop what was asked for least recently, but nothing of this call."""
+        """Drop what was asked for least by its bytes, the newest first; nothing of this call."""
         over = self._bytes + wanted - self.budget
         if over <= 0:
             return
         held = np.flatnonzero(self._kind_of >= 0)
         spare = held[self._used[held] != self._call]
-        spare = spare[np.argsort(self._used[spare], kind="stable")]
         sizes = np.array([kind.size for kind in self._kinds])[self._kind_of[spare]]
+        rate = np.rint(np.log2(self._asked[spare])) - np.rint(np.log2(sizes))
+        order = np.lexsort((-self._used[spare], rate))
+        spare, sizes = spare[order], sizes[order]
         room = np.cumsum(sizes)
         gone = spare[: int(np.searchsorted(room, over)) + 1]
         if not self._warned and over > sizes.sum():

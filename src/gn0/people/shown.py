@@ -62,6 +62,7 @@ _BLEND = 4  # ticks that one clip goes over into another
 _PAUSE = 5.0  # s between gestures of who stands
 _NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at
 STOOD = (-48, 15)  # mm, of feet before a body that sets off or stops
+_SHARES = [float(ease(np.asarray(quarter / _BLEND))) for quarter in range(_BLEND + 1)]
 _RIGHT_SWINGS = 0.33  # phase of a walk at which the right foot is in the middle of its swing
 _STRAIGHT = look_class(0.0)
 _BY_ROW = ("walk", *PIVOTS, *SETTLES)
@@ -277,7 +278,7 @@ def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64
         now = (shown.clip, _at(shown.clip, shown.frame), speed)
         if shown.other:
             before = (shown.other, _at(shown.other, shown.other_frame), speed)
-            share = float(ease(np.asarray(shown.quarter / _BLEND)))
+            share = _SHARES[shown.quarter]
             # feet of a walk stay behind while its body turns on them
             turned = _turned(shown.clip, shown.frame)
             steps = Steps(shown.early, shown.clip != "walk", 1e-3 * shown.stood, turned)

@@ -20,7 +20,7 @@ from gn0.avatars.light import find_probes
 from gn0.avatars.motion.library import LOOPS, PIVOTS, SETTLES, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
-from gn0.avatars.posed_bank import NEARER
+from gn0.avatars.posed_bank import BUDGET, NEARER
 from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
 from gn0.device.device import DeviceArray
 from gn0.errors import ConfigError
@@ -49,6 +49,8 @@ _BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 # m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
 _SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
 _HIGH = 1.5  # m above or below an eye that a person may be
+_SHARE = 0.1  # of the memory that is free at the start, for posed clouds: agents each see others
+_POSTURES = 2**29  # bytes of the host at most, for their postures
 _OFFSETS = 97  # by how many ticks people's clips are apart
 
 
@@ -87,7 +89,8 @@ class PeopleEyesDevice:
                 remedy="use renderer 'cuda', or VectorEnv",
             )
         self._scenes, self.cast = scenes, Cast(bank)
-        self.posed = PosedBankDevice(renderer)
+        budget = max(BUDGET, int(_SHARE * renderer.device.memory()[0]))
+        self.posed = PosedBankDevice(renderer, budget, postures=_POSTURES)
         self._roles: dict[tuple[str, float], int] = {}
         self._clips = {clip: number for number, clip in enumerate(_BY_NUMBER)}
         self._whom: list[tuple[str, float]] = []  # roles and clips by number, as far as asked for

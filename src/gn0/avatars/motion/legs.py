@@ -7,6 +7,7 @@ bodies, floor at y = 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -126,6 +127,13 @@ def measure_build(
     return Build(rest, sole, heel, tip, thigh)
 
 
+# fields of a plan that are numbers, and the shape of each in a frame
+_FLAT = {
+    "pelvis": (3,), "turn": (4,), "ankles": (2, 3), "feet": (2, 4), "toes": (2,), "knees": (2,),
+    "upper": (JOINT_COUNT, 4),
+}  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Frames of a body before its legs are solved; the way gone is left out.
@@ -156,10 +164,43 @@ class Plan:
         return Plan(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
-def join_plans(plans: Sequence[Plan]) -> Plan:
-    """The frames of one plan after those of another."""
-    names = Plan.__dataclass_fields__
-    return Plan(*(np.concatenate([getattr(plan, name) for plan in plans]) for name in names))
+@dataclass(frozen=True, eq=False)
+class FlatPlan:
+    """Frames of a plan with all numbers of each together.
+
+    Attributes:
+        numbers: those of pelvis, turn, ankles, feet, toes, knees and upper [T, 245].
+        stands: whether each foot stands [T, 2].
+    """
+
+    numbers: F64
+    stands: NDArray[np.bool_]
+
+    @staticmethod
+    def of(plan: Plan) -> FlatPlan:
+        """A plan so."""
+        count = len(plan)
+        parts = [getattr(plan, name).reshape(count, -1) for name in _FLAT]
+        return FlatPlan(np.concatenate(parts, axis=1), plan.stands)
+
+    @staticmethod
+    def empty(frames: int) -> FlatPlan:
+        """So many frames, to be `put`."""
+        width = sum(math.prod(shape) for shape in _FLAT.values())
+        return FlatPlan(np.empty((frames, width)), np.empty((frames, 2), np.bool_))
+
+    def put(self, at: Sequence[int], other: FlatPlan, rows: Sequence[int]) -> None:
+        """Have frames `at` be rows of another's."""
+        self.numbers[at], self.stands[at] = other.numbers[rows], other.stands[rows]
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that it is of."""
+        fields, end = {}, 0
+        for name, shape in _FLAT.items():
+            begin, end = end, end + math.prod(shape)
+            fields[name] = self.numbers[:, begin:end].reshape(-1, *shape)
+        return Plan(**fields, stands=self.stands)
 
 
 def mix_plans(first: Plan, second: Plan, share: NDArray[np.floating] | float) -> Plan:

@@ -30,8 +30,8 @@ from gn0.avatars.motion.hands import BUSY, plan_busy, plan_carrying
 from gn0.avatars.motion.legs import (
     Bodies,
     Build,
+    FlatPlan,
     Plan,
-    join_plans,
     mix_plans,
     solve_plan,
 )
@@ -130,6 +130,11 @@ class Clip:
     way: F64 | None = None
     speed: float = 0.0
     meets: float = 0.0
+
+    @cached_property
+    def flat(self) -> FlatPlan:
+        """The plan with all numbers of a frame together: quick to gather from."""
+        return FlatPlan.of(self.plan)
 
     @property
     def seconds(self) -> float:
@@ -368,30 +373,24 @@ def blend_many(
 
 def _between(places: Sequence[tuple[ClipLibrary, str, float, float]]) -> Plan:
     """Plans of clips between their frames, each of (library, name, at, speed)."""
-    rows: dict[int, tuple[Clip, list[tuple[int, int, int]]]] = {}  # of each clip: n, low, high
-    shares = np.empty(len(places))
+    rows: dict[int, tuple[Clip, list[int], list[int], list[int]]] = {}  # of each clip
+    count = len(places)
+    shares = np.empty(count)
     for n, (library, name, at, speed) in enumerate(places):
         clip = library.clip(name, speed)
-        count = len(clip.plan)
-        frame = at * count if clip.stride else at * clip.fps
-        frame = frame % count if clip.loop else min(max(frame, 0.0), count - 1.0)
+        frames = len(clip.plan)
+        frame = at * frames if clip.stride else at * clip.fps
+        frame = frame % frames if clip.loop else min(max(frame, 0.0), frames - 1.0)
         row = math.floor(frame)
-        after = (row + 1) % count if clip.loop else min(row + 1, count - 1)
-        rows.setdefault(id(clip), (clip, []))[1].append((n, row % count, after))
+        after = (row + 1) % frames if clip.loop else min(row + 1, frames - 1)
+        _, where, low, high = rows.setdefault(id(clip), (clip, [], [], []))
+        where.append(n)
+        low.append(row % frames)
+        high.append(after)
         shares[n] = frame - row
-    order = np.empty(len(places), np.int64)
-    low, high, at = [], [], 0
-    for clip, some in rows.values():
-        index = np.array(some)
-        order[index[:, 0]] = np.arange(at, at + len(some))
-        low.append(clip.plan.rows(index[:, 1]))
-        high.append(clip.plan.rows(index[:, 2]))
-        at += len(some)
-    return mix_plans(join_plans(low), join_plans(high), _by_place(shares, order)).rows(order)
-
-
-def _by_place(values: F64, order: NDArray[np.int64]) -> F64:
-    """Values [T] of places, where `order` puts each."""
-    found = np.empty_like(values)
-    found[order] = values
-    return found
+    # one gather a clip: a step of a thousand agents blends those of a hundred
+    ends = FlatPlan.empty(2 * count)
+    for clip, where, low, high in rows.values():
+        ends.put([*where, *(count + n for n in where)], clip.flat, [*low, *high])
+    whole = ends.plan
+    return mix_plans(whole.rows(slice(count)), whole.rows(slice(count, None)), shares)

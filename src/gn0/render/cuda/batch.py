@@ -35,8 +35,7 @@ from gn0.render.cuda.parts import (
     list_sets,
     views_of,
 )
-from gn0.render.cuda.posed import ReadyPoses, RestCloud, RestDevice, bring_rest, pose_ready
-from gn0.render.cuda.posed_places import PosedPlaces
+from gn0.render.cuda.posed import ReadyPoses, RestCloud, RestDevice, bring_rest
 from gn0.render.cuda.replay import PicturesDevice, SetMissingError
 from gn0.render.cuda.request import (
     check_chosen,
@@ -106,7 +105,6 @@ class RendererBatch:
         self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
         self.store.on_drop = self._let_go
         self._named = NamedClouds(device)
-        self._places = PosedPlaces(device)
         self._arranged: Arranged | None = None
         self._calls = RecordedCalls(self.options)
         self._skip = self._wait = 0  # calls until views on the device are tried with sets again
@@ -181,20 +179,21 @@ class RendererBatch:
         with lock_of(self.device):
             return self._with_room(lambda: bring_rest(self.device, cloud), (), [])
 
-    def pose_parts(self, rests: Sequence[RestDevice], ready: ReadyPoses) -> list[int]:
+    def pose_parts(
+        self, rests: Sequence[RestDevice], which: NDArray[np.integer], ready: ReadyPoses
+    ) -> list[int]:
         """Slots of clouds in poses, made by one launch; they stay until `drop_parts`.
 
         Args:
-            rests: of whom, for each pose; one at least.
+            rests: of whom, once each.
+            which: of those, for each pose [n], one at least.
             ready: how.
 
         Raises:
             DeviceMemoryError: the device has no room for them.
         """
         with lock_of(self.device):
-            take = self._places.take
-            clouds = self._with_room(lambda: pose_ready(self.device, rests, ready, take), (), [])
-            return self._named.add(clouds)
+            return self._with_room(lambda: self._named.pose(rests, which, ready), (), [])
 
     def drop_parts(self, slots: Sequence[int]) -> None:
         """Free slots that `pose_parts` gave."""
@@ -672,7 +671,7 @@ class RendererBatch:
                 return attempt()
             except DeviceMemoryError:
                 self._forget_calls()  # they hold sets and clouds
-                self._places.let_go()
+                self._named.let_go()
                 if self.store.give_way(wanted) or self.store.give_way(pinned):
                     continue
                 if cleared or not clear_sets([*self._sets.values(), *list_sets(parts)]):

@@ -105,7 +105,10 @@ class Instances:
         )
         found.check(views)
         shown = here(self.chosen) != NO_PART
-        known = np.array([cloud is not None for cloud in self.clouds], bool)
+        if self.table is None:
+            known = np.array([cloud is not None for cloud in self.clouds], bool)
+        else:
+            known = self.table.clouds.known
         _check_arrays(found, shown, known)
         return found
 
@@ -230,6 +233,8 @@ class Instances:
     @property
     def normals(self) -> NDArray[np.uint64]:
         """Where those of each cloud are on the device."""
+        if self.table is not None:
+            return self.table.normals_here
         found = [0 if c is None or c.normals is None else c.normals.pointer for c in self.clouds]
         return np.array(found, np.uint64)
 

@@ -7,15 +7,60 @@ call, clouds may come and go, and the recording holds. Only a table that grows i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.render.cuda.cloud import CloudDevice, bound_all, build_clouds
+from gn0.render.cuda.posed import PosedClouds, RestDevice, posed_bytes, posed_cloud
 from gn0.render.cuda.tables import CLOUD, NOWHERE
 
 _SLOTS = 16  # at first
+
+
+class PartClouds(Sequence[CloudDevice | None]):
+    """The clouds of a table by slot; one of people in poses is made when it is asked for."""
+
+    def __init__(self, slots: int = 0) -> None:
+        self.others: list[CloudDevice | None] = [None] * slots  # those in arrays once asked for
+        self.rests: list[RestDevice | None] = [None] * slots  # of clouds in arrays
+        self.rows = build_clouds([None] * slots).copy()
+        self.bounds = bound_all([None] * slots) if slots else np.zeros((0, 7), np.float32)
+
+    def __len__(self) -> int:
+        return len(self.others)
+
+    @overload
+    def __getitem__(self, slot: int) -> CloudDevice | None: ...
+
+    @overload
+    def __getitem__(self, slot: slice) -> list[CloudDevice | None]: ...
+
+    def __getitem__(self, slot: int | slice) -> CloudDevice | list[CloudDevice | None] | None:
+        if isinstance(slot, slice):
+            return [self[n] for n in range(*slot.indices(len(self)))]
+        rest = self.rests[slot]
+        if self.others[slot] is None and rest is not None:
+            row = self.rows[slot]
+            step = float(row["sh_row"].view(np.float32))
+            box = self.bounds[slot].copy()
+            self.others[slot] = posed_cloud(rest, int(row["splats"]), box, step)
+        return self.others[slot]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which slots have one."""
+        return self.rows["rows"] != np.uint32(NOWHERE)
+
+    def grow(self, slots: int) -> None:
+        """Have so many slots."""
+        more = PartClouds(slots - len(self))
+        self.others += more.others
+        self.rests += more.rests
+        self.rows = np.concatenate([self.rows, more.rows])
+        self.bounds = np.concatenate([self.bounds, more.bounds])
 
 
 class PartTable:
@@ -34,10 +79,9 @@ class PartTable:
         self.device = device
         self.version = 0
         self.most = 1
-        self.clouds: list[CloudDevice | None] = []
+        self.clouds = PartClouds()
         self._free: list[int] = []
         self._changed: tuple[int, int] | None = None
-        self._rows: NDArray[np.void] = np.zeros(0, CLOUD)
         self._normals: NDArray[np.uint64] = np.zeros(0, np.uint64)
         self._grow(_SLOTS)
 
@@ -47,7 +91,12 @@ class PartTable:
     @property
     def chunks(self) -> NDArray[np.int64]:
         """Of the cloud in each slot."""
-        return np.where(self._rows["rows"] == np.uint32(NOWHERE), 0, self._rows["chunks"])
+        return np.where(self.clouds.known, self.clouds.rows["chunks"], 0).astype(np.int64)
+
+    @property
+    def posed_bytes(self) -> int:
+        """Bytes of all clouds that `put_posed` put here."""
+        return sum(posed_bytes(rest.rows) for rest in self.clouds.rests if rest is not None)
 
     @property
     def rows(self) -> DeviceArray:
@@ -64,60 +113,87 @@ class PartTable:
         """Where the normals of each are, uint64, as of `flush`."""
         return self._normals_there
 
-    def take(self) -> int:
-        """A slot that is free, until `drop`."""
-        if not self._free:
-            self._grow(2 * len(self.clouds))
-        return self._free.pop()
+    @property
+    def normals_here(self) -> NDArray[np.uint64]:
+        """The same on the host."""
+        return self._normals
+
+    def take(self, count: int) -> list[int]:
+        """So many slots that are free, until `drop`."""
+        while len(self._free) < count:
+            self._grow(2 * len(self))
+        found = self._free[len(self._free) - count :]
+        del self._free[len(self._free) - count :]
+        return found[::-1]
 
     def put(self, slot: int, cloud: CloudDevice) -> None:
         """Put a cloud into a slot that was taken."""
-        self.put_all([slot], [cloud])
+        self._write([slot], [cloud])
+        self._see(cloud.chunks)
 
-    def put_all(self, slots: Sequence[int], clouds: Sequence[CloudDevice]) -> None:
-        """Put clouds, one at least, into slots that were taken."""
-        self._write(slots, clouds)
-        while self.most < max(cloud.chunks for cloud in clouds):
-            self.most *= 2
-            self.version += 1
+    def put_posed(self, slots: Sequence[int], clouds: PosedClouds) -> None:
+        """Put clouds in poses, one at least, into slots that were taken."""
+        at, entries = np.asarray(slots), clouds.entries
+        kinds = clouds.rests
+        for slot, which in zip(slots, clouds.which.tolist(), strict=True):
+            self.clouds.rests[slot] = kinds[which]
+        self.clouds.rows[at], self.clouds.bounds[at] = entries, clouds.boxes
+        self._normals[at] = entries["splats"]
+        self._mark(at)
+        self._see(int(entries["chunks"].max()))
 
     def drop(self, slots: Sequence[int]) -> None:
         """Free slots."""
-        if slots:
-            self._write(slots, [None] * len(slots))
-            self._free += slots
+        if not slots:
+            return
+        for slot in slots:
+            self.clouds.others[slot] = self.clouds.rests[slot] = None
+        at = np.asarray(slots)
+        self.clouds.rows[at], self.clouds.bounds[at] = _NONE.rows[0], _NONE.bounds[0]
+        self._normals[at] = 0
+        self._mark(at)
+        self._free += slots
 
     def flush(self) -> None:
         """Bring to the device what has changed; drawing calls read it in their turn."""
         if self._changed is None:
             return
         low, high = self._changed
-        rows = self._rows[low:high].view(np.uint32).reshape(high - low, -1)
+        rows = self.clouds.rows[low:high].view(np.uint32).reshape(high - low, -1)
         self.device.upload(rows, self._there[low:high])
         self.device.upload(self._normals[low:high], self._normals_there[low:high])
-        self.device.upload(self._bounds[low:high], self._bounds_there[low:high])
+        self.device.upload(self.clouds.bounds[low:high], self._bounds_there[low:high])
         self._changed = None
 
-    def _write(self, slots: Sequence[int], clouds: Sequence[CloudDevice | None]) -> None:
-        for slot, cloud in zip(slots, clouds, strict=True):
-            self.clouds[slot] = cloud
+    def _write(self, slots: Sequence[int], clouds: Sequence[CloudDevice]) -> None:
         at = np.asarray(slots)
-        self._rows[at] = build_clouds(clouds)
-        normals = [0 if c is None or c.normals is None else c.normals.pointer for c in clouds]
+        for slot, cloud in zip(slots, clouds, strict=True):
+            self.clouds.others[slot] = cloud
+        self.clouds.rows[at] = build_clouds(clouds)
+        self.clouds.bounds[at] = bound_all(clouds)
+        normals = [0 if c.normals is None else c.normals.pointer for c in clouds]
         self._normals[at] = np.array(normals, np.uint64)
-        self._bounds[at] = bound_all(clouds)
-        low, high = self._changed or (slots[0], slots[0] + 1)
-        self._changed = (min(low, min(slots)), max(high, 1 + max(slots)))
+        self._mark(at)
+
+    def _mark(self, slots: NDArray[np.integer]) -> None:
+        low, high = self._changed or (int(slots[0]), int(slots[0]) + 1)
+        self._changed = min(low, int(slots.min())), max(high, 1 + int(slots.max()))
+
+    def _see(self, chunks: int) -> None:
+        while self.most < chunks:
+            self.most *= 2
+            self.version += 1
 
     def _grow(self, slots: int) -> None:
-        had = len(self.clouds)
-        self.clouds += [None] * (slots - had)
-        self._free += range(slots - 1, had - 1, -1)  # the first goes first
-        rows, normals = build_clouds(self.clouds).copy(), np.zeros(slots, np.uint64)
-        normals[:had] = self._normals
-        self._rows, self._normals, self._bounds = rows, normals, bound_all(self.clouds)
+        had = len(self)
+        self.clouds.grow(slots)
+        self._free[:0] = range(slots - 1, had - 1, -1)  # the first goes first
+        self._normals = np.append(self._normals, np.zeros(slots - had, np.uint64))
         self._there = self.device.empty((slots, CLOUD.itemsize // 4), np.uint32)
         self._bounds_there = self.device.empty((slots, 7), np.float32)
         self._normals_there = self.device.empty(slots, np.uint64)
         self._changed = (0, slots)
         self.version += 1
+
+
+_NONE = PartClouds(1)

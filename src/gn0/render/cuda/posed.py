@@ -8,7 +8,7 @@ is shared by all poses; what skinning reads is another 64. See `kernels/posed.cu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -22,9 +22,9 @@ from gn0.gaussians.cloud import SH_C0
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
 from gn0.jit import njit, prange
-from gn0.render.cuda.cloud import CloudDevice, CloudLabels
+from gn0.render.cuda.cloud import PACKED, CloudDevice, CloudLabels
 from gn0.render.cuda.records import FindSlots, PoseSplats
-from gn0.render.cuda.tables import CHUNK
+from gn0.render.cuda.tables import CHUNK, CLOUD
 from gn0.render.instance import PART_SPLATS_MAX
 from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
 
@@ -217,16 +217,26 @@ def ready_poses(wanted: Sequence[Posing]) -> ReadyPoses:
     floors = np.ones((len(wanted), most, 4), np.float32)
     for floor, one in zip(floors, wanted, strict=True):
         floor[: one.rest.lying] = one.floor
+    kinds = {id(one.rest): one.rest for one in wanted}
+    number = {key: n for n, key in enumerate(kinds)}
+    which = np.array([number[id(one.rest)] for one in wanted])
     transforms = np.stack([one.transforms for one in wanted])
     turns = np.stack([one.turns for one in wanted])
-    return ready_all([one.rest for one in wanted], transforms, turns, floors)
+    return ready_all(list(kinds.values()), which, transforms, turns, floors)
 
 
-def ready_all(rests: Sequence[RestDevice], transforms: F64, turns: F64, floors: F32) -> ReadyPoses:
+def ready_all(
+    rests: Sequence[RestDevice],
+    which: NDArray[np.integer],
+    transforms: F64,
+    turns: F64,
+    floors: F32,
+) -> ReadyPoses:
     """The same of arrays.
 
     Args:
-        rests: of whom, for each pose.
+        rests: of whom, once each.
+        which: of those, for each pose [n].
         transforms: of each joint, as of `Posing` [n, 55, 3, 4].
         turns: their rotations [n, 55, 4].
         floors: splats on the floor [n, most, 4], the first `lying` of each count.
@@ -242,14 +252,12 @@ def ready_all(rests: Sequence[RestDevice], transforms: F64, turns: F64, floors: 
     lying = rows[:, _JOINTS * _OF_JOINT :].reshape(count, most, 4)
     lying[..., :3] = floors[..., :3]
     lying[..., 3] = np.log(np.clip(floors[..., 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
-    kinds = list({id(rest): rest for rest in rests}.values())
-    number = {id(rest): k for k, rest in enumerate(kinds)}
-    which = np.array([number[id(rest)] for rest in rests], np.int64)
     boxes = np.empty((count, 7), np.float32)
-    reach = np.stack([rest.reach for rest in kinds])
-    laid = np.array([rest.lying for rest in kinds], np.int64)
-    _box_capsules(np.ascontiguousarray(transforms), floors, reach, laid, which, boxes)
-    boxes[:, 6] = np.array([rest.widest for rest in kinds])[which]
+    reach = np.stack([rest.reach for rest in rests])
+    laid = np.array([rest.lying for rest in rests], np.int64)
+    chosen = which.astype(np.int64)
+    _box_capsules(np.ascontiguousarray(transforms), floors, reach, laid, chosen, boxes)
+    boxes[:, 6] = np.array([rest.widest for rest in rests])[which]
     return ReadyPoses(rows, boxes, _choose_steps(boxes))
 
 
@@ -267,65 +275,103 @@ def pose_clouds(device: Device, wanted: Sequence[Posing]) -> list[CloudDevice]:
     """
     if not wanted:
         return []
+    kinds = {id(one.rest): one.rest for one in wanted}
+    number = {key: n for n, key in enumerate(kinds)}
+    which = np.array([number[id(one.rest)] for one in wanted])
+    memory = [device.empty(posed_bytes(one.rest.rows) // 4, np.uint32) for one in wanted]
+    pointers = np.array([one.pointer for one in memory], np.uint64)
+    found = pose_ready(device, list(kinds.values()), which, ready_poses(wanted), pointers)
+    return [found.cloud(n, one.owner) for n, one in enumerate(memory)]
 
-    def take(sizes: Sequence[int]) -> list[DeviceArray]:
-        return [device.empty(size // 4, np.uint32) for size in sizes]
 
-    return pose_ready(device, [one.rest for one in wanted], ready_poses(wanted), take)
+@dataclass(frozen=True, eq=False)
+class PosedClouds:
+    """Clouds of one launch, as arrays: a step of a thousand agents asks for thousands.
+
+    Attributes:
+        rests: of whom.
+        which: of those, for each cloud [n].
+        pointers: where each begins, uint64 [n].
+        boxes, steps: as of `ReadyPoses`.
+    """
+
+    rests: Sequence[RestDevice]
+    which: NDArray[np.integer]
+    pointers: NDArray[np.uint64]
+    boxes: F32
+    steps: F32
+
+    def __len__(self) -> int:
+        return len(self.which)
+
+    @property
+    def entries(self) -> NDArray[np.void]:
+        """What kernels see of each, as `cloud.build_cloud` has it [n]."""
+        kinds = np.zeros(len(self.rests), CLOUD)
+        kinds["order"] = [rest.order.pointer for rest in self.rests]
+        kinds["slots"] = [rest.rest.pointer for rest in self.rests]
+        kinds["rows"] = [rest.rows for rest in self.rests]
+        kinds["chunks"] = kinds["rows"] // CHUNK
+        kinds["degree"] = PACKED
+        found = kinds[self.which]
+        found["splats"] = self.pointers
+        found["boxes"] = self.pointers + found["rows"].astype(np.uint64) * np.uint64(SPLAT_BYTES)
+        found["sh_row"] = np.ascontiguousarray(self.steps).view(np.uint32)
+        return found
+
+    def cloud(self, number: int, owner: object = None) -> CloudDevice:
+        """One of them by itself, whose memory `owner` keeps."""
+        rest = self.rests[int(self.which[number])]
+        at, step = int(self.pointers[number]), float(self.steps[number])
+        return posed_cloud(rest, at, self.boxes[number], step, owner)
 
 
 def pose_ready(
     device: Device,
     rests: Sequence[RestDevice],
+    which: NDArray[np.integer],
     ready: ReadyPoses,
-    take: Callable[[Sequence[int]], list[DeviceArray]],
-) -> list[CloudDevice]:
+    pointers: NDArray[np.uint64],
+) -> PosedClouds:
     """Clouds of people at rest in poses that are ready, all by one launch.
 
     Args:
         device: where.
-        rests: of whom, for each pose.
+        rests: of whom, once each.
+        which: of those, for each pose [n].
         ready: how.
-        take: gives memory, uint32 [words] of at least so many bytes each.
+        pointers: to memory for each, `posed_bytes` of it, uint64 [n].
 
     Raises:
-        DeviceMemoryError: the device has no room for them.
+        DeviceMemoryError: the device has no room for what the launch reads.
     """
-    kinds = {id(rest): rest for rest in rests}
-    facts = {
-        key: (rest.skin.pointer, rest.rest.pointer, rest.rows, rest.alive, rest.lying)
-        for key, rest in kinds.items()
-    }
-    skin, still, rows, alive, lying = np.array([facts[id(rest)] for rest in rests], np.uint64).T
+    facts = [
+        (rest.skin.pointer, rest.rest.pointer, rest.rows, rest.alive, rest.lying) for rest in rests
+    ]
+    skin, still, rows, alive, lying = np.array(facts, np.uint64)[which].T
     chunks = rows // CHUNK
-    memory = take([posed_bytes(count) for count in rows.tolist()])
     there = device.upload(ready.rows)
-    jobs = np.zeros(len(rests), _POSING)
+    jobs = np.zeros(len(which), _POSING)
     jobs["skin"], jobs["rest"] = skin, still
     width = ready.rows.shape[1] * 4
-    jobs["joints"] = there.pointer + np.arange(len(rests), dtype=np.uint64) * np.uint64(width)
+    jobs["joints"] = there.pointer + np.arange(len(which), dtype=np.uint64) * np.uint64(width)
     jobs["floor"] = jobs["joints"] + np.uint64(_JOINTS * _OF_JOINT * 4)
-    jobs["splats"] = np.array([one.pointer for one in memory], np.uint64)
+    jobs["splats"] = pointers
     jobs["boxes"] = jobs["splats"] + rows * np.uint64(SPLAT_BYTES)
     jobs["step"], jobs["alive"], jobs["lying"] = ready.steps, alive, lying
     jobs["first_block"][1:] = np.cumsum(chunks[:-1])
-    record = PoseSplats(device.upload(jobs.view(np.uint64)), np.uint32(len(rests)))
+    record = PoseSplats(device.upload(jobs.view(np.uint64)), np.uint32(len(which)))
     device.load(SOURCE)["pose_splats"].launch(int(chunks.sum()), CHUNK, record)
-    return [
-        _cloud_of(*what)
-        for what in zip(
-            rests, memory, rows.tolist(), ready.boxes, ready.steps.tolist(), strict=True
-        )
-    ]
+    return PosedClouds(rests, which, pointers, ready.boxes, ready.steps)
 
 
-def _cloud_of(
-    rest: RestDevice, memory: DeviceArray, rows: int, box: F32, step: float
+def posed_cloud(
+    rest: RestDevice, pointer: int, box: F32, step: float, owner: object = None
 ) -> CloudDevice:
-    """A posed cloud in its memory."""
-    device, at, owner = memory.device, memory.pointer, memory.owner
-    boxes = at + rows * SPLAT_BYTES
-    splats = DeviceArray(device, at, (rows, 4), _WORD, owner)
+    """A posed cloud that lies at `pointer`, in memory that `owner` keeps."""
+    device, rows = rest.rest.device, rest.rows
+    splats = DeviceArray(device, pointer, (rows, 4), _WORD, owner)
+    boxes = pointer + rows * SPLAT_BYTES
     return CloudDevice(
         splats=splats,
         order=rest.order,
@@ -361,7 +407,7 @@ class SlotFinder:
         self._places = 1 << max(2 * len(slots), 16).bit_length()
         keys, found = place_codes(codes, slots, self._places)
         upload = self._device.upload
-        self._held = upload(keys), upload(found), self._device.zeros(most, np.uint32)
+        self._held = upload(keys), upload(found), self._device.zeros((2, most), np.uint32)
 
     def find(self, codes: DeviceArray, chosen: DeviceArray, stamp: int) -> list[int]:
         """Write the slots of codes uint64 [I] to int32 [I]; 0 and those that are in none: -1.
@@ -370,21 +416,21 @@ class SlotFinder:
             The codes that are in none, once each, in ascending order.
         """
         assert self._held is not None
-        keys, slots, stamps = self._held
+        keys, slots, uses = self._held
         count = len(codes)
         missing = self._device.empty(count + 1, np.uint64)
         self._device.fill(missing[:1], 0)
         record = FindSlots(
             *(codes, np.uint32(count), keys, slots, np.uint32(self._places)),
-            *(np.uint32(stamp), stamps, chosen, missing),
+            *(np.uint32(stamp), uses[0], uses[1], chosen, missing),
         )
         self._device.load(SOURCE)["find_slots"].launch(-(-count // 128), 128, record)
         lacking = int(missing[:1].numpy()[0])
         return np.unique(missing[1 : 1 + lacking].numpy()).tolist() if lacking else []
 
-    def stamps(self) -> NDArray[np.uint32]:
-        """When each slot was last found, by the stamps given since `set`."""
-        return np.zeros(0, np.uint32) if self._held is None else self._held[2].numpy()
+    def uses(self) -> NDArray[np.uint32]:
+        """When each slot was last found, and by how many stamps, since `set` [2, slots]."""
+        return np.zeros((2, 0), np.uint32) if self._held is None else self._held[2].numpy()
 
 
 def place_codes(
@@ -394,18 +440,19 @@ def place_codes(
 
     Each code lies in the first free place from its own on, and no place between is free.
     """
-    own = ((codes * np.uint64(_MIX)) >> np.uint64(32)).astype(np.int64) & (places - 1)
-    order = np.argsort(own, kind="stable")
-    rank = np.arange(len(order))
-    at = np.maximum.accumulate(own[order] - rank) + rank
-    inside = at < places
     keys, found = np.zeros(places, np.uint64), np.full(places, -1, np.int32)
-    keys[at[inside]], found[at[inside]] = codes[order[inside]], which[order[inside]]
-    free = iter(np.flatnonzero(keys == 0).tolist())  # those beyond the end go on from the start
-    for n in order[~inside].tolist():
-        place = next(free)
-        keys[place], found[place] = codes[n], which[n]
+    _place_codes(codes, which, keys, found)
     return keys, found
+
+
+@njit
+def _place_codes(codes, which, keys, found):  # type: ignore[no-untyped-def]
+    last = keys.shape[0] - 1
+    for n in range(codes.shape[0]):
+        at = np.int64((codes[n] * np.uint64(_MIX)) >> np.uint64(32)) & last
+        while keys[at] != np.uint64(0):
+            at = (at + 1) & last
+        keys[at], found[at] = codes[n], which[n]
 
 
 @njit(parallel=True)

@@ -1,78 +1,109 @@
 """Memory of posed clouds on a device, in slabs of places of one size.
 
-A call may make a thousand clouds and let go of as many; an allocation each would cost more than to
-pose them.
+A call may make a thousand clouds and let go of as many; an allocation each, or an object each,
+would cost more than to pose them. All is asked for and given back in arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from weakref import WeakSet, ref
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 
-SLAB = 2 * 2**20  # bytes of a slab, unless one place is larger
+SLAB = 2 * 2**20  # bytes of a slab at least
+SLAB_MOST = 64 * 2**20  # and at most, unless one place is larger
 SPARE = 2**28  # bytes of slabs that nobody needs and that are kept: asking for them anew is dear
 _GRAIN = 512  # bytes
+_SHELF = 32  # bits of a handle below the number of its shelf
 
 
-class _Slab:
-    """Places of one size in one allocation, which goes when none of them is held."""
+class Places(NamedTuple):
+    """Memory that was taken.
 
-    __slots__ = ("__weakref__", "count", "free", "memory", "spare")
+    Attributes:
+        pointers: where each place begins, uint64 [n].
+        handles: by which it is given back, int64 [n].
+    """
 
-    def __init__(self, memory: DeviceArray, size: int, spare: _Spare) -> None:
-        self.memory = memory
-        self.free = list(range(0, memory.nbytes, size))
-        self.count, self.spare = len(self.free), ref(spare)
-
-    def give(self, at: int) -> None:
-        """A place is free again; work on the one stream goes in order."""
-        self.free.append(at)
-        if len(self.free) == self.count and (spare := self.spare()) is not None:
-            spare.keep(self)
+    pointers: NDArray[np.uint64]
+    handles: NDArray[np.int64]
 
 
-class _Spare:
-    """Slabs none of whose places is held, of so many bytes."""
+class _Shelf:
+    """Slabs of places of one size.
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._bytes = 0
-        self._held: set[_Slab] = set()
+    Attributes:
+        room: bytes of a place.
+        slabs: by number; None where one went.
+        pointers, numbers: of the places that are free, and in which slab each is.
+        left, whole: places of each slab that are free, and all of them.
+    """
 
-    def keep(self, slab: _Slab) -> None:
-        if self._bytes + slab.memory.nbytes <= self._most:
-            self._bytes += slab.memory.nbytes
-            self._held.add(slab)
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self.slabs: list[DeviceArray | None] = []
+        self.pointers = np.zeros(0, np.uint64)
+        self.numbers = np.zeros(0, np.int64)
+        self.left = np.zeros(0, np.int64)
+        self.whole = np.zeros(0, np.int64)
 
-    def use(self, slab: _Slab) -> None:
-        if slab in self._held:
-            self._bytes -= slab.memory.nbytes
-            self._held.discard(slab)
+    def add(self, memory: DeviceArray) -> None:
+        """Take a new slab in, all of it free."""
+        starts = np.arange(0, memory.nbytes - self.room + 1, self.room, dtype=np.uint64)
+        pointers = np.uint64(memory.pointer) + starts
+        self.pointers = np.append(self.pointers, pointers)
+        self.numbers = np.append(self.numbers, np.full(len(pointers), len(self.slabs)))
+        self.left, self.whole = (np.append(old, len(pointers)) for old in (self.left, self.whole))
+        self.slabs.append(memory)
 
-    def clear(self) -> None:
-        self._bytes = 0
-        self._held.clear()
+    def take(self, count: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+        """Pointers and slabs of so many free places, of the fullest slabs: others empty.
 
+        Of a slab those that were given back last.
+        """
+        order = len(self.numbers) - 1 - np.argsort(self.left[self.numbers[::-1]], kind="stable")
+        chosen, kept = order[:count], np.sort(order[count:])
+        pointers, numbers = self.pointers[chosen], self.numbers[chosen]
+        self.pointers, self.numbers = self.pointers[kept], self.numbers[kept]
+        self.left -= np.bincount(numbers, minlength=len(self.slabs))
+        return pointers, numbers
 
-class _Place:
-    """What holds a place: it is free again when nothing refers to it."""
+    def give(self, pointers: NDArray[np.uint64], numbers: NDArray[np.int64]) -> None:
+        """Have places free again."""
+        self.pointers = np.append(self.pointers, pointers)
+        self.numbers = np.append(self.numbers, numbers)
+        self.left += np.bincount(numbers, minlength=len(self.slabs))
 
-    __slots__ = ("at", "slab")
+    def empties(self) -> NDArray[np.int64]:
+        """Slabs none of whose places is held."""
+        return np.flatnonzero((self.left == self.whole) & (self.whole > 0))
 
-    def __init__(self, slab: _Slab, at: int) -> None:
-        self.slab, self.at = slab, at
+    def spare(self) -> int:
+        """Bytes of those."""
+        return self.room * int(self.whole[self.empties()].sum())
 
-    def __del__(self) -> None:
-        self.slab.give(self.at)
+    def release(self, over: int) -> int:
+        """Let go of such slabs until so many bytes are; how many were."""
+        gone, freed = [], 0
+        for number in self.empties().tolist():
+            if freed >= over:
+                break
+            freed += self.room * int(self.whole[number])
+            gone.append(number)
+            self.slabs[number] = None
+        if gone:
+            kept = ~np.isin(self.numbers, gone)
+            self.pointers, self.numbers = self.pointers[kept], self.numbers[kept]
+            self.left[gone] = self.whole[gone] = 0
+        return freed
 
 
 class PosedPlaces:
-    """Gives memory for posed clouds.
+    """Gives memory for posed clouds, until it is given back.
 
     Args:
         device: where it is.
@@ -80,47 +111,61 @@ class PosedPlaces:
     """
 
     def __init__(self, device: Device, spare: int = SPARE) -> None:
-        self._device = device
-        self._slabs: dict[int, WeakSet[_Slab]] = {}
-        self._spare = _Spare(spare)
+        self._device, self._most = device, spare
+        self._shelves: list[_Shelf] = []
+        self._by_room: dict[int, int] = {}
 
     def let_go(self) -> None:
         """Free what nobody holds: memory is short."""
-        self._spare.clear()
+        self._trim(0)
 
-    def take(self, sizes: Sequence[int]) -> list[DeviceArray]:
-        """Memory uint32 [words] of at least so many bytes each, free again when let go of.
+    def _trim(self, most: int) -> None:
+        over = sum(shelf.spare() for shelf in self._shelves) - most
+        for shelf in self._shelves:
+            if over <= 0:
+                break
+            over -= shelf.release(over)
+
+    def take(self, sizes: NDArray[np.integer]) -> Places:
+        """Memory of at least so many bytes each [n].
 
         Raises:
             DeviceMemoryError: the device has no room for it.
         """
-        open_slabs: dict[int, list[_Slab]] = {}
-        word = np.dtype(np.uint32)
-        found = []
-        for size in sizes:
-            room = _room(size)
-            slabs = open_slabs.get(room)
-            if slabs is None:  # the fullest last, which is taken from: others empty
-                slabs = [slab for slab in self._slabs.get(room, ()) if slab.free]
-                slabs.sort(key=lambda slab: -len(slab.free))
-                open_slabs[room] = slabs
-            if not slabs:
-                slabs.append(self._add(room))
-            slab = slabs[-1]
-            if len(slab.free) == slab.count:
-                self._spare.use(slab)
-            at = slab.free.pop()
-            if not slab.free:
-                slabs.pop()
-            pointer = slab.memory.pointer + at
-            found.append(DeviceArray(self._device, pointer, (room // 4,), word, _Place(slab, at)))
+        found = Places(np.zeros(len(sizes), np.uint64), np.full(len(sizes), -1, np.int64))
+        different, which = np.unique(sizes, return_inverse=True)
+        rooms = np.array([_room(size) for size in different.tolist()], np.int64)[which]
+        try:
+            for room in np.unique(rooms).tolist():
+                mine = np.flatnonzero(rooms == room)
+                number = self._by_room.setdefault(room, len(self._shelves))
+                if number == len(self._shelves):
+                    self._shelves.append(_Shelf(room))
+                shelf = self._shelves[number]
+                while (lack := len(mine) - len(shelf.pointers)) > 0:
+                    self._add(shelf, lack)
+                pointers, slabs = shelf.take(len(mine))
+                found.pointers[mine], found.handles[mine] = pointers, number << _SHELF | slabs
+        except BaseException:
+            taken = found.handles >= 0
+            self.give(Places(found.pointers[taken], found.handles[taken]))
+            raise
         return found
 
-    def _add(self, room: int) -> _Slab:
-        count = max(SLAB // room, 1)
-        slab = _Slab(self._device.empty(count * room // 4, np.uint32), room, self._spare)
-        self._slabs.setdefault(room, WeakSet()).add(slab)
-        return slab
+    def give(self, places: Places) -> None:
+        """Have places free again; work on the one stream goes in order."""
+        shelves = places.handles >> _SHELF
+        for number in np.unique(shelves).tolist():
+            mine = shelves == number
+            slabs = places.handles[mine] & ((1 << _SHELF) - 1)
+            self._shelves[number].give(places.pointers[mine], slabs)
+        self._trim(self._most)
+
+    def _add(self, shelf: _Shelf, lack: int) -> None:
+        """Another slab for a shelf that lacks so many places: as few allocations as can be."""
+        room = shelf.room
+        count = min(max(lack, SLAB // room), max(SLAB_MOST // room, 1))
+        shelf.add(self._device.empty(count * room // 4, np.uint32))
 
 
 @lru_cache(1024)

@@ -337,6 +337,7 @@ class FindSlots(NamedTuple):
     places: np.uint32
     stamp: np.uint32
     stamps: DeviceArray
+    asked: DeviceArray
     chosen: DeviceArray
     missing: DeviceArray
 

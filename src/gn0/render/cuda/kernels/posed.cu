@@ -136,10 +136,10 @@ KERNEL(pose_splats)(const Posing *__restrict__ jobs, u32 count) {
 #define HASH_NONE -1
 
 // Slots [count] of codes, by a hash table of a power of two of `places`; the slots that are found are
-// stamped as used. Codes that are in none go to `missing`, whose first word counts them.
+// stamped as used, and `asked` counts the stamps of each. Codes that are in none go to `missing`, whose first word counts them.
 KERNEL(find_slots)(const u64 *__restrict__ codes, u32 count, const u64 *__restrict__ keys,
-                   const int *__restrict__ slots, u32 places, u32 stamp, u32 *stamps, int *chosen,
-                   u64 *missing) {
+                   const int *__restrict__ slots, u32 places, u32 stamp, u32 *stamps, u32 *asked,
+                   int *chosen, u64 *missing) {
   u32 i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= count) return;
   u64 code = codes[i];
@@ -151,7 +151,7 @@ KERNEL(find_slots)(const u64 *__restrict__ codes, u32 count, const u64 *__restri
       if (keys[at] == code || keys[at] == NOBODY) break;
     }
     if (found == HASH_NONE) missing[1 + atomicAdd(missing, (u64)1)] = code;
-    else atomicMax(stamps + found, stamp);
+    else if (atomicMax(stamps + found, stamp) < stamp) atomicAdd(asked + found, 1u);
   }
   chosen[i] = found;
 }

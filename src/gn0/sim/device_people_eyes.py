@@ -49,7 +49,6 @@ _BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 # m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
 _SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
 _HIGH = 1.5  # m above or below an eye that a person may be
-_SHARE = 0.1  # of the memory that is free at the start, for posed clouds: agents each see others
 _POSTURES = 2**29  # bytes of the host at most, for their postures
 _OFFSETS = 97  # by how many ticks people's clips are apart
 
@@ -65,6 +64,7 @@ class PeopleEyesDevice:
         widest: tangent of the angle from the middle of a picture to its left or right edge, of
             the widest; who is beside all pictures is not posed.
         pitch: how far cameras look up or down [rad].
+        budget: bytes of posed clouds.
 
     Attributes:
         posed: the posed clouds.
@@ -82,6 +82,7 @@ class PeopleEyesDevice:
         *,
         widest: float = math.inf,
         pitch: float = 0.0,
+        budget: int = BUDGET,
     ) -> None:
         if not isinstance(renderer, HoldsParts) or not renderer.traits.device_views:  # type: ignore[attr-defined]
             raise ConfigError(
@@ -89,7 +90,6 @@ class PeopleEyesDevice:
                 remedy="use renderer 'cuda', or VectorEnv",
             )
         self._scenes, self.cast = scenes, Cast(bank)
-        budget = max(BUDGET, int(_SHARE * renderer.device.memory()[0]))
         self.posed = PosedBankDevice(renderer, budget, postures=_POSTURES)
         self._roles: dict[tuple[str, float], int] = {}
         self._clips = {clip: number for number, clip in enumerate(_BY_NUMBER)}

@@ -74,7 +74,7 @@ def test_the_script_prints_what_people_cost(
     monkeypatch.setenv("GN0_DEVICE", "host")
     main(["--people"])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[2].split()[-4:] == ["none", "unseen", "1", "8"]
+    assert lines[2].split()[-5:] == ["none", "unseen", "1", "4", "8"]
     end = next(n for n, line in enumerate(lines) if line.startswith("entries a view"))
     rows = {line.split()[0]: [float(x) for x in line.split()[1:]] for line in lines[3:end]}
-    assert rows["emit_entries"][0] > 0 and rows["emit_parts"][0] == 0 < rows["emit_parts"][3]
+    assert rows["emit_entries"][0] > 0 and rows["emit_parts"][0] == 0 < rows["emit_parts"][4]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -33,7 +34,7 @@ LOOKED = 40  # episodes judged by pictures as well
 POLICIES = ("oracle", "always_stop", "straight_at_the_person", "random")
 LEVELS: tuple[FollowLevelName, ...] = ("distractors", "ambiguous")
 CAMERA = "follower_small"
-WORKERS = 4
+WORKERS = max(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 4)
 
 Played = tuple[Episode, EpisodeResult]
 T = TypeVar("T")

@@ -123,6 +123,19 @@ def test_a_scene_that_was_never_filmed_keeps_the_srgb_curve() -> None:
     np.testing.assert_allclose(decode_srgb(lit.rgb()), 2 * albedo, atol=2e-3)
 
 
+@pytest.mark.parametrize("filmed", [True, False])
+def test_splats_that_do_not_tell_which_curve_they_saw_are_not_asked_alone(filmed: bool) -> None:
+    """Every fifth is black, as it is by either curve: then all others tell."""
+    n = 40_960  # of which 8,192 would have told
+    rng = np.random.default_rng(4)
+    albedo, irradiance = rng.uniform(0.05, 0.85, (n, 3)), rng.uniform(0.1, 0.9, (n, 3))
+    albedo[::5] = 0.0
+    curve = develop_film if filmed else encode_srgb
+    cloud = cloud_of(curve(albedo * irradiance), albedo=albedo, irradiance=irradiance)
+    lit = relight_cloud(cloud, LightCondition(exposure=0.1))
+    assert np.abs(lit.rgb() - curve(albedo * irradiance * 2.0**0.1))[1::5].max() < 2e-3
+
+
 def test_contrast_zero_is_the_same_light_everywhere() -> None:
     lit = relight_cloud(baked(), LightCondition(contrast=0.0))
     assert lit.irradiance is not None

@@ -19,13 +19,25 @@ from gn0.render.light import LightCondition
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.maps_ahead import draw_maps_ahead, place_evenly
+from gn0.sim.maps_ahead import draw_maps_ahead, number_card, place_evenly
 
 
 def test_each_of_several_cards_begins_with_other_scenes() -> None:
     """Two, four or eight of them share the scenes out evenly, none of them knowing how many."""
     for cards in (1, 2, 4, 8):
         assert sorted(map(place_evenly, range(cards))) == [k / cards for k in range(cards)]
+
+
+def test_processes_with_a_card_each_begin_with_other_scenes(monkeypatch) -> None:
+    """To each of them its card is number 0; the machine knows better."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3")
+    assert number_card(0) == 3
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4, 6")
+    assert [number_card(k) for k in range(3)] == [4, 6, 2]
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-5f2c")
+    assert number_card(0) == 0
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    assert number_card(1) == 1
 
 
 @pytest.mark.slow

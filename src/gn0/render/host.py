@@ -152,7 +152,7 @@ class RendererHost:
         """Whether a scene is loaded; any thread may ask."""
         return key in self._renderers
 
-    def prepare(self, cloud: GaussianCloud) -> GaussianCloud:
+    def prepare(self, cloud: GaussianCloud, like: Any = None) -> GaussianCloud:
         """What `load` may return instead: nothing else, here."""
         return cloud
 

@@ -260,8 +260,14 @@ class Renderer(Protocol):
         """Whether a scene's splats are ready to be drawn; any thread may ask."""
         ...
 
-    def prepare(self, cloud: GaussianCloud) -> Any:
-        """What may be done beforehand with a cloud, in any thread; `load` may return it."""
+    def prepare(self, cloud: GaussianCloud, like: Any = None) -> Any:
+        """What may be done beforehand with a cloud, in any thread; `load` may return it.
+
+        Args:
+            cloud: the splats.
+            like: what `prepare` gave for the same splats in other colours, to take over from it
+                what does not depend on these.
+        """
 
     def limit_to_visible(
         self, key: str, cloud_hash: str, floor: OccupancyGrid, eye_height: float

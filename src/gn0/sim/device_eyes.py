@@ -42,9 +42,10 @@ from gn0.sim.device_there import AgentsThere
 from gn0.sim.device_who import SENSORS, Asked, WhoEyes
 from gn0.sim.ego_map import CONTENTS, EgoSquare, find_front
 from gn0.sim.history import LENGTH, mosaic_size
-from gn0.sim.look_map import add_look, draw_map, find_map
+from gn0.sim.look_map import draw_map, find_map
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import name_look, split_look
+from gn0.sim.scene_looks import SceneLooks
 from gn0.sim.sensor.sensor import AgentsDevice, Sensor
 from gn0.sim.sensors import MapFrame, SensorConfig, paint_grid
 from gn0.sim.simulator import goal_record, goal_view
@@ -121,7 +122,8 @@ class EyesDevice:
             for s in carried.sensors
             if s.many is None
         )
-        self._scenes, self._agent, self._renderer = scenes, agent, renderer
+        self._looks = SceneLooks(renderer, scenes)
+        self._agent, self._renderer = agent, renderer
         self._map_shape = map_shape
         self._visible = visible_sets
         self._kept: dict[str, DeviceArray] = {}
@@ -156,16 +158,16 @@ class EyesDevice:
     def lacks_map(self, look: str) -> bool:
         """Whether the cache lacks the picture of a scene in its light."""
         assert self._renderer is not None
-        scene = self._scenes[split_look(look)[0]]()
+        scene = self._looks.scene(split_look(look)[0])
         return not find_map(self._renderer, look, scene, *self.map_settings).exists()
 
     def open_look(self, look: str) -> MapPictures:
         """Name a scene in its light to the renderer; its static map pictures."""
         scene_id, _ = split_look(look)
-        scene = self._scenes[scene_id]()
+        scene = self._looks.scene(scene_id)
         renderer = self._renderer
         if renderer is not None:
-            add_look(renderer, look, self._scenes[scene_id])
+            self._looks.add(look)
             if self._visible and self._carried.eyes:
                 renderer.limit_to_visible(
                     look,

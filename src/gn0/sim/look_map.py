@@ -1,32 +1,18 @@
-"""A scene in its light, named to a renderer; and what it looks like from above."""
+"""What a scene looks like from above in its light."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.render.bev import BevPicture, bev_file, render_bev
-from gn0.render.light import relight_cloud
 from gn0.render.renderer import DrawnScene, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash, split_look
 
 Colour = tuple[float, float, float]
-
-
-def add_look(renderer: Renderer, look: str, reopen: Callable[[], Scene]) -> None:
-    """Name a scene in its light to a renderer, which loads it when it is drawn."""
-    _, light = split_look(look)
-
-    def load() -> GaussianCloud:
-        cloud = reopen().gaussians
-        return cloud if light is None else relight_cloud(cloud, light)
-
-    renderer.add(look, load, look_hash(reopen(), light))
 
 
 def draw_map(

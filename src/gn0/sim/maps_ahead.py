@@ -6,6 +6,7 @@ lit and packed. Where hundreds are opened, several processes do that; the cache 
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
@@ -20,8 +21,9 @@ from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.folder import load_scene
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.look_map import add_look, draw_map
+from gn0.sim.look_map import draw_map
 from gn0.sim.open import name_look, split_look
+from gn0.sim.scene_looks import SceneLooks
 
 FEW = 64  # pictures that are drawn as soon by one process, which need not start
 PROCESSES = 12  # at most
@@ -66,7 +68,7 @@ def draw_maps_ahead(
         return 0
     cut, background = eyes.map_settings
     scenes = list(lacking)
-    begin = int(place_evenly(getattr(env.device, "ordinal", 0)) * len(scenes))
+    begin = int(place_evenly(number_card(getattr(env.device, "ordinal", 0))) * len(scenes))
     scenes = scenes[begin:] + scenes[:begin]  # each of several cards begins with others
     payloads = [
         {
@@ -94,8 +96,9 @@ def draw_maps(payload: dict[str, Any]) -> dict[str, Any]:
     renderer = _open(payload["device"])
     background = tuple(payload["background"])
     scene = load_scene(Path(payload["scene"]))
+    looks = SceneLooks(renderer, {split_look(payload["looks"][0])[0]: lambda: scene})
     for look in payload["looks"]:
-        add_look(renderer, look, lambda: scene)
+        looks.add(look)
         draw_map(renderer, look, scene, payload["cut_height"], background)
         renderer.remove(look)
     return {}
@@ -105,6 +108,13 @@ def draw_maps(payload: dict[str, Any]) -> dict[str, Any]:
 def _open(device: str) -> Renderer:
     """The renderer of this process."""
     return open_renderer("cuda", device=open_device(device))
+
+
+def number_card(ordinal: int) -> int:
+    """The card's number on the machine: processes that were given one each all call it 0."""
+    shown = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+    named = shown[ordinal].strip() if ordinal < len(shown) else ""
+    return int(named) if named.isdecimal() else ordinal
 
 
 def place_evenly(number: int) -> float:

@@ -116,13 +116,15 @@ class RendererBatch:
         """Whether a scene's splats are on the device; any thread may ask."""
         return self.store.holds(key)
 
-    def prepare(self, cloud: GaussianCloud) -> CloudReady:
+    def prepare(self, cloud: GaussianCloud, like: CloudReady | None = None) -> CloudReady:
         """The host's share of bringing a cloud here; any thread may do it, and `load` return it.
+
+        `like`: what this gave for the same splats in other colours.
 
         Raises:
             RenderError: the cloud cannot be drawn.
         """
-        return prepare_cloud(cloud)
+        return prepare_cloud(cloud, like=like)
 
     def add(self, key: str, load: Load, digest: str = "") -> None:
         """Name a scene; its cloud is loaded when it is first drawn, and again after it gave way.

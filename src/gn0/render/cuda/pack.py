@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,7 @@ SH_ROW = {
 }  # halves a splat: coefficients 1, 2, … of three colours, padded
 _PIECE = 2**16  # splats that go to the device at a time
 _BOX = 7
+_GEOMETRY = ("means", "quats", "scales", "opacities")  # a light changes none of these
 _KERNELS = Path(__file__).parent / "kernels"
 _SOURCE = KernelSource(
     "clouds",
@@ -86,18 +87,33 @@ class CloudReady:
         """Of the cloud."""
         return self.cloud.sh_degree
 
+    def fits(self, cloud: GaussianCloud) -> bool:
+        """Whether another cloud is made of the same arrays, but for its colours."""
+        return all(getattr(cloud, name) is getattr(self.cloud, name) for name in _GEOMETRY)
 
-def prepare_cloud(cloud: GaussianCloud, *, sort: bool = True, part: bool = False) -> CloudReady:
+
+def prepare_cloud(
+    cloud: GaussianCloud,
+    *,
+    sort: bool = True,
+    part: bool = False,
+    like: CloudReady | None = None,
+) -> CloudReady:
     """Check a cloud and choose its packed order; needs no device, so any thread may do it.
 
     Args:
         cloud: the splats.
         sort: put them in Morton order.
         part: it may be an instance, and then brings its normals.
+        like: what this gave for the same splats in other colours; their order is taken from there,
+            and colours alone are checked.
 
     Raises:
         RenderError: see `upload_cloud`, or too many splats for a part.
     """
+    if like is not None and sort and not part and like.fits(cloud):
+        _check_finite(cloud, "sh")
+        return replace(like, cloud=cloud)
     if part and len(cloud) > PART_SPLATS_MAX:
         raise RenderError(
             f"a part of {len(cloud):,} splats; the device renderer numbers {PART_SPLATS_MAX:,}",
@@ -159,21 +175,25 @@ def check_cloud(cloud: GaussianCloud) -> None:
     Raises:
         RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
     """
-    for name in ("means", "quats", "scales", "opacities", "sh"):
-        array = getattr(cloud, name)
-        for first in range(0, len(array), _PIECE):
-            if not np.isfinite(array[first : first + _PIECE]).all():
-                raise RenderError(
-                    "cloud holds values that are not finite",
-                    where=f"cloud.{name}",
-                    remedy="load it with load_cloud, which drops and counts such splats",
-                )
+    for name in (*_GEOMETRY, "sh"):
+        _check_finite(cloud, name)
     if len(cloud) and (cloud.scales.min() < 0 or cloud.opacities.min() < 0):
         raise RenderError(
             "cloud has negative scales or opacities",
             where="cloud",
             remedy="a GaussianCloud holds activated values, not logs or logits",
         )
+
+
+def _check_finite(cloud: GaussianCloud, name: str) -> None:
+    array = getattr(cloud, name)
+    for first in range(0, len(array), _PIECE):
+        if not np.isfinite(array[first : first + _PIECE]).all():
+            raise RenderError(
+                "cloud holds values that are not finite",
+                where=f"cloud.{name}",
+                remedy="load it with load_cloud, which drops and counts such splats",
+            )
 
 
 def choose_splats(cloud: GaussianCloud, *, sort: bool = True) -> NDArray[np.intp]:

@@ -130,8 +130,9 @@ class CloudStore:
         """The clouds of `keys`, in groups that fit together; what is in a group stays for its turn.
 
         One group when all fit; a group is emptied when the next is asked for. What is here already
-        comes first, so that it is not dropped to make room before its turn. While one cloud is
-        brought here, or a group is drawn, the next one is loaded beside.
+        comes first, so that it is not dropped to make room before its turn; then by name, so that
+        looks of one scene are loaded side by side. While one cloud is brought here, or a group is
+        drawn, the next one is loaded beside.
 
         Raises:
             RenderError: no such key, or a cloud that cannot be drawn.
@@ -140,7 +141,7 @@ class CloudStore:
         wanted = list(dict.fromkeys(keys))
         for key in wanted:
             self._source(key)
-        wanted.sort(key=lambda key: key not in self._held)
+        wanted.sort(key=lambda key: (key not in self._held, key))
         group: dict[str, CloudDevice] = {}
         missing = [key for key in wanted if key not in self._held]
         ahead = _load_ahead({key: self._source(key).load for key in missing})

@@ -160,7 +160,7 @@ class RendererShared:
         """Whether a scene can be asked for."""
         return key in self._sources
 
-    def prepare(self, cloud: GaussianCloud) -> GaussianCloud:
+    def prepare(self, cloud: GaussianCloud, like: Any = None) -> GaussianCloud:
         """Nothing can be done beforehand here."""
         return cloud
 

@@ -66,8 +66,8 @@ class PosesTogether(Protocol):
     """A pose whose like are quicker found together."""
 
     @staticmethod
-    def turn_all(poses: Sequence[Any]) -> list[tuple[F64, F64]]:
-        """What `turn` gives for each of the same type."""
+    def turn_all(poses: Sequence[Any]) -> tuple[F64, F64]:
+        """What `turn` gives for each of the same type: poses [n, 55, 3] and shifts [n, 3]."""
         ...
 
 
@@ -131,7 +131,8 @@ def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Po
     """
     if not wanted:
         return []
-    placed = _place_all([(avatar, pose, shift) for avatar, _, pose, shift in wanted])
+    avatars, _, poses, shifts = zip(*wanted, strict=True)
+    placed = _place_all(avatars, _check_all(poses), np.stack(shifts))
     floors = shadow_places(placed.joints)
     return [
         Posing(rest, *what)
@@ -141,13 +142,18 @@ def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Po
     ]
 
 
-def _place_all(wanted: Sequence[tuple[Avatar, F64, F64]]) -> Posture:
-    """Joints of avatars, by pose and shift of each."""
-    joints, poses, shifts = zip(*wanted, strict=True)
-    return place_all(
-        np.stack([avatar.joints for avatar in joints]),
-        np.stack([pose if pose.shape == (JOINT_COUNT, 3) else check_pose(pose) for pose in poses]),
-        np.stack(shifts),
+def _place_all(avatars: Sequence[Avatar], poses: F64, shifts: F64) -> Posture:
+    """Joints of avatars, by pose [n, 55, 3], checked, and shift [n, 3] of each."""
+    kinds = {id(avatar): avatar.joints for avatar in avatars}
+    number = {key: n for n, key in enumerate(kinds)}
+    rests = np.stack(list(kinds.values()))
+    return place_all(rests[[number[id(avatar)] for avatar in avatars]], poses, shifts)
+
+
+def _check_all(poses: Sequence[F64]) -> F64:
+    """Poses [n, 55, 3] of arrays whose shapes nobody has looked at."""
+    return np.stack(
+        [pose if pose.shape == (JOINT_COUNT, 3) else check_pose(pose) for pose in poses]
     )
 
 
@@ -364,10 +370,7 @@ class PosedBankDevice:
         rows[old] = self._postures.read(turned[old])
         if poses:
             wanted = list(poses.values())
-            turns = _turn_all(wanted)
-            placed = _place_all(
-                [(one.avatar, *turn) for one, turn in zip(wanted, turns, strict=True)]
-            )
+            placed = _place_all([one.avatar for one in wanted], *_turn_all(wanted))
             floors = shadow_places(placed.joints)
             ready = ready_all(rests, which[new], placed.transforms, placed.turns, floors)
             rows[new], frames["box"][new], frames["step"][new] = ready
@@ -450,12 +453,13 @@ class PosedBankDevice:
         self._stale = True
 
 
-def _turn_all(poses: Sequence[AvatarPose]) -> list[tuple[F64, F64]]:
-    """Pose and shift of each."""
+def _turn_all(poses: Sequence[AvatarPose]) -> tuple[F64, F64]:
+    """Poses [n, 55, 3] and shifts [n, 3] of all."""
     first = poses[0]
     if isinstance(first, PosesTogether) and all(type(pose) is type(first) for pose in poses):
         return first.turn_all(poses)
-    return [pose.turn() for pose in poses]
+    turns, shifts = zip(*(pose.turn() for pose in poses), strict=True)
+    return _check_all(turns), np.stack(shifts)
 
 
 def _let_go(renderer: HoldsParts, held: dict[Hashable, int]) -> None:

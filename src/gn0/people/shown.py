@@ -32,6 +32,7 @@ from gn0.avatars.motion.library import (
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS, Steps
 from gn0.avatars.posture import Posture
+from gn0.avatars.skeleton import JOINT_COUNT
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.people.cast import Actor
@@ -254,8 +255,8 @@ class PoseShown:
         return turn_shown(self.actor, self.shown)
 
     @staticmethod
-    def turn_all(poses: Sequence[PoseShown]) -> list[tuple[F64, F64]]:
-        """The same of many, to the bit; all that blend are solved at once."""
+    def turn_all(poses: Sequence[PoseShown]) -> tuple[F64, F64]:
+        """The same of many [n, 55, 3] and [n, 3], to the bit; all that blend are solved at once."""
         return turn_all_shown([(one.actor, one.shown) for one in poses])
 
 
@@ -266,12 +267,13 @@ def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
 
 def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
     """Pose [55, 3] rad and shift [3] m of an actor, as a key tells."""
-    return turn_all_shown([(actor, shown)])[0]
+    poses, shifts = turn_all_shown([(actor, shown)])
+    return poses[0], shifts[0]
 
 
-def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64]]:
-    """The same of many, to the bit; all that blend are solved at once."""
-    found: dict[int, tuple[F64, F64]] = {}
+def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> tuple[F64, F64]:
+    """The same of many [n, 55, 3] and [n, 3], to the bit; all that blend are solved at once."""
+    found, moved = np.empty((len(wanted), JOINT_COUNT, 3)), np.empty((len(wanted), 3))
     blends: dict[int, tuple[tuple[ClipLibrary, _Read, _Read, float], Steps]] = {}
     for n, (actor, shown) in enumerate(wanted):
         library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
@@ -284,17 +286,16 @@ def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64
             steps = Steps(shown.early, shown.clip != "walk", 1e-3 * shown.stood, turned)
             blends[n] = (library, before, now, share), steps
         else:
-            found[n] = library.pose_at(*now)
+            found[n], moved[n] = library.pose_at(*now)
     if blends:
         mixed, stepped = zip(*blends.values(), strict=True)
-        poses, shifts = blend_many(mixed, steps=stepped)
-        found |= zip(blends, zip(poses, shifts, strict=True), strict=True)
+        which = list(blends)
+        found[which], moved[which] = blend_many(mixed, steps=stepped)
     aside = [n for n, (_, shown) in enumerate(wanted) if shown.look != _STRAIGHT]
     if aside:
         yaws = [math.radians(LOOKS[wanted[n][1].look]) for n in aside]
-        looked = turn_head(np.stack([found[n][0] for n in aside]), np.array(yaws))
-        found |= {n: (pose, found[n][1]) for n, pose in zip(aside, looked, strict=True)}
-    return [found[n] for n in range(len(wanted))]
+        found[aside] = turn_head(found[aside], np.array(yaws))
+    return found, moved
 
 
 def _at(clip: str, frame: int) -> float:

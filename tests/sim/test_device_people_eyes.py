@@ -107,7 +107,7 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
             if not codes[i, p]:
                 assert not in_view(pose_shown(actor, want, 0), pose, (x, y, yaw))
                 continue
-            found = eyes.read_code(int(codes[i, p]))
+            found = eyes.codes.read(int(codes[i, p]))
             assert found.shown == want
             assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
             size = len(found.avatar)

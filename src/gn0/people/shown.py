@@ -50,7 +50,7 @@ from gn0.people.reach import (
     Y,
 )
 from gn0.people.route import BRAKE, I64
-from gn0.people.turning import BLEND, find_turns, frame_of, turn_people
+from gn0.people.shown_poses import BLEND, find_turns, frame_of, turn_people
 from gn0.render.cpu_posed import PosedPacked
 from gn0.seeds import derive_seed
 

@@ -19,7 +19,7 @@ from gn0.avatars.motion.library import BY_SPEED, PIVOTS, SETTLES
 from gn0.geometry import F32, F64
 from gn0.people.cast import Cast
 from gn0.people.shown import STOOD, PoseShown, Shown, rest_key
-from gn0.people.turning import BLEND, FRAME_WIDTH, find_turns, frame_of, ready_people
+from gn0.people.shown_poses import BLEND, FRAME_WIDTH, find_turns, frame_of, ready_people
 from gn0.render.cuda.posed import RestDevice
 
 _NONE = 63  # no clip
@@ -126,7 +126,7 @@ class ShownCodes:
         """Write poses to rows; see `CodedPoses.ready`.
 
         Raises:
-            DataError, RenderError: see `turning.ready_people`.
+            DataError, RenderError: see `shown_poses.ready_people`.
         """
         parts = [slice(n, n + _TOGETHER) for n in range(0, len(codes), _TOGETHER)]
         made = [self._ready(codes[p], rests, which[p], rows, at[p]) for p in parts]

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 
+from gn0.avatars.coded_poses import PosesOneByOne
 from gn0.avatars.posed_device import PosedBankDevice, posing_of, rest_of
 from gn0.gaussians.cloud import join_clouds
 from gn0.geometry import F64
@@ -245,6 +246,7 @@ def _measure_finding(bench: Bench, bank: PosedBankDevice, views: int) -> None:
     """What a kernel's question for slots takes, once all are there."""
     device, count = bench.device, views * _EACH
     walkers = Walkers(open_actors(8, bench.tiny)[:1], 2.0, 160.0)
+    poses = PosesOneByOne(lambda code: walkers.wanted(code)[0][1])
     many = 4 if bench.tiny else _FILL
     chosen = device.empty(count, np.int32)
     firsts = []
@@ -252,10 +254,10 @@ def _measure_finding(bench: Bench, bank: PosedBankDevice, views: int) -> None:
         codes = device.upload((1 + turn * many + np.arange(count) % many).astype(np.uint64))
         device.synchronize()
         begin = time.perf_counter()
-        lacking = bank.find(codes, chosen, lambda code: walkers.wanted(code)[0][1])
+        lacking = bank.find(codes, chosen, poses)
         device.synchronize()
         firsts.append(1e3 * (time.perf_counter() - begin))
-    calls = {"find": lambda turn: bank.find(codes, chosen, lambda code: walkers.wanted(code)[0][1])}
+    calls = {"find": lambda turn: bank.find(codes, chosen, poses)}
     walls: dict[str, list[float]] = {}
     interleave(device, calls, 1 if bench.tiny else _ROUNDS, warm=bench.warm, walls=walls)
     detail = f"{count:,} codes, all there, wall clock"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gn0.avatars.avatar import SHADOWS, Avatar
+from gn0.avatars.coded_poses import PosesOneByOne
 from gn0.avatars.posed_device import PosedBankDevice, posing_of, posings_of, rest_of
 from gn0.avatars.poses import standing_pose, stride_pose
 from gn0.device.host import DeviceHost
@@ -178,12 +179,12 @@ def test_a_kernel_asks_by_codes(batch: RendererBatch) -> None:
 
     codes = np.array([17, 0, 2**62 + 5, 17, 900, 0], np.uint64)
     chosen = device.empty(6, np.int32)
-    assert bank.find(device.upload(codes), chosen, pose) == 3
+    assert bank.find(device.upload(codes), chosen, PosesOneByOne(pose)) == 3
     slots = chosen.numpy()
     assert asked == [17, 900, 2**62 + 5] and bank.launches == 1
     assert (slots == -1).tolist() == [False, True, False, False, False, True]
     assert slots[0] == slots[3] and len(set(slots.tolist())) == 4
-    assert bank.find(device.upload(codes), chosen, pose) == 0 and len(asked) == 3
+    assert bank.find(device.upload(codes), chosen, PosesOneByOne(pose)) == 0 and len(asked) == 3
     assert (chosen.numpy() == slots).all()
     poses = np.stack([stand(y=0.5 * k - 1).pose for k in range(6)])
     there = PartsDevice(
@@ -242,8 +243,9 @@ def test_who_was_found_by_a_kernel_counts_as_used(batch: RendererBatch) -> None:
     one.fetch([(1, Posture())])
     bank = PosedBankDevice(batch, budget=2 * one.bytes)
     chosen = device.empty(1, np.int32)
+    poses = PosesOneByOne(lambda code: Posture(0.1 * code))
     for code in (1, 2, 1, 3):
-        bank.find(device.upload(np.array([code], np.uint64)), chosen, lambda c: Posture(0.1 * c))
+        bank.find(device.upload(np.array([code], np.uint64)), chosen, poses)
     assert 1 in bank and 3 in bank and 2 not in bank
 
 
@@ -261,7 +263,9 @@ def test_a_cycle_that_does_not_fit_keeps_a_part_of_itself(
         before = bank.misses
         if by_kernel:
             bank.find(
-                device.upload(np.array(codes, np.uint64)), chosen, lambda c: Posture(0.01 * c)
+                device.upload(np.array(codes, np.uint64)),
+                chosen,
+                PosesOneByOne(lambda c: Posture(0.01 * c)),
             )
         else:
             bank.fetch([(code, Posture(0.01 * code)) for code in codes])
@@ -280,7 +284,7 @@ def test_askings_of_one_call_count_once_and_fade(batch: RendererBatch) -> None:
 
     def ask(*codes: int) -> None:
         many = np.resize(np.array(codes, np.uint64), 8)
-        bank.find(device.upload(many), chosen, lambda c: Posture(0.01 * c))
+        bank.find(device.upload(many), chosen, PosesOneByOne(lambda c: Posture(0.01 * c)))
 
     ask(1)  # by eight agents, once
     for _ in range(3):
@@ -307,7 +311,7 @@ def test_who_made_room_comes_back_the_same(batch: RendererBatch) -> None:
             return Posture(0.1 * (code >> 1), f"small {code & 1}")
 
         found = device.upload(np.array(codes, np.uint64))
-        bank.find(found, chosen, pose, lambda code: code >> 1)
+        bank.find(found, chosen, PosesOneByOne(pose, lambda code: code >> 1))
         clouds = [batch._named.table.clouds[slot] for slot in chosen.numpy().tolist()]
         return [b"".join(a.numpy().tobytes() for a in (c.splats, c.boxes)) for c in clouds]
 
@@ -492,7 +496,7 @@ def test_no_thread_meets_another() -> None:
     device, bank = batch.device, PosedBankDevice(batch)
     chosen = device.empty(2, np.int32)
     codes = device.upload(np.array([5, 9], np.uint64))
-    assert bank.find(codes, chosen, lambda code: Posture(0.01 * code)) == 2
+    assert bank.find(codes, chosen, PosesOneByOne(lambda code: Posture(0.01 * code))) == 2
     poses = device.upload(np.stack([stand(y=0.3).pose, stand(y=-0.3).pose]))
     there = PartsDevice(None, poses, chosen, 2, device.upload(np.stack([GAIN, GAIN])))
     seen = batch.draw(CAMERA, device.upload(VIEW[None]), "flat", parts=there).numpy()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gn0.avatars.avatar import Avatar
+from gn0.avatars.coded_poses import PosesOneByOne
 from gn0.avatars.posed_device import PosedBankDevice
 from gn0.avatars.poses import stride_pose
 from gn0.gaussians.cloud import join_clouds
@@ -52,7 +53,10 @@ def test_people_are_drawn_alike_on_every_way(device, scale) -> None:
     batch.keep("flat", scene.cloud)
     bank, chosen = PosedBankDevice(batch), device.empty(2 * len(looks), np.int32)
     codes = device.upload(np.tile(np.array([3, 8], np.uint64), len(looks)))
-    assert bank.find(codes, chosen, Posture) == 2 and bank.find(codes, chosen, Posture) == 0
+    assert (
+        bank.find(codes, chosen, PosesOneByOne(Posture)) == 2
+        and bank.find(codes, chosen, PosesOneByOne(Posture)) == 0
+    )
     assert bank.launches == 1
     slots = chosen.numpy()
     poses = np.tile(np.eye(4), (len(slots), 1, 1))

@@ -107,7 +107,7 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
             if not codes[i, p]:
                 assert not in_view(pose_shown(actor, want, 0), pose, (x, y, yaw))
                 continue
-            found = eyes.read_code(int(codes[i, p]))
+            found = eyes.codes.read(int(codes[i, p]))
             assert found.shown == want
             assert found.level == choose_level(float(np.hypot(*away)), EYE.fx)
             size = len(found.avatar)
@@ -266,3 +266,20 @@ def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> N
     alone = open_device_env(episodes[2:], bank, preset, count=1)
     with pytest.raises(EpisodeError, match=r"'one'.*no episode had any"):
         alone.reset(options={"episode": episodes[1]})
+
+
+def test_people_in_poses_take_the_memory_that_they_are_given(episodes, bank, preset) -> None:
+    """What makes room is posed again, and pictures stay the same."""
+    seen = {}
+    for memory in (None, 1):
+        env = open_device_env(episodes, bank, preset, people_memory=memory)
+        seen[memory] = [env.reset(seed=0, options={"episode": [0, 1, 2]})[0]["rgb"].numpy().copy()]
+        for _ in range(3):
+            moved = env.step(env.device.upload(np.array([2, 2, 2], np.int64)))[0]
+            seen[memory].append(moved["rgb"].numpy().copy())
+        posed = env._eyes.people.posed
+        assert posed.budget == (512 * 2**20 if memory is None else memory)
+        assert (posed.evicted > 0) == (memory == 1)
+    assert all(np.array_equal(*pair) for pair in zip(*seen.values(), strict=True))
+    with pytest.raises(ConfigError, match="0 bytes for posed people"):
+        open_device_env(episodes, bank, preset, people_memory=0)

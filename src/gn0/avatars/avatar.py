@@ -268,23 +268,28 @@ def shadow_places(joints: F64) -> F32:
 @njit
 def _lay_shadows(joints, found):  # type: ignore[no-untyped-def]
     for n in range(joints.shape[0]):
-        at, out = joints[n], found[n]
-        out[:, 2] = _RAISED
-        for foot in range(2):
-            ankle, toe = at[_AT_SHADOWS[foot]], at[_AT_SHADOWS[2 + foot]]
-            x, z = toe[0] - ankle[0], toe[2] - ankle[2]
-            length = max(math.sqrt(x * x + z * z), 1e-6)
-            x, z = x / length, z / length
-            tread = math.exp(-max(toe[1] - 0.02, 0.0) / 0.08)
-            for k in range(_FOOT.shape[0]):
-                row = out[foot * _FOOT.shape[0] + k]
-                u, v, dark = _FOOT[k, 0], _FOOT[k, 1], _FOOT[k, 2]
-                row[0] = 0.4 * ankle[2] + 0.6 * toe[2] + u * z - v * x
-                row[1] = 0.4 * ankle[0] + 0.6 * toe[0] + u * x + v * z
-                row[3] = tread * dark
-        pelvis = at[_AT_SHADOWS[4]]
-        faint = math.exp(-max(pelvis[1] - 0.9, 0.0))
-        for k in range(_WIDE.shape[0]):
-            row = out[2 * _FOOT.shape[0] + k]
-            row[0], row[1] = pelvis[2] + _WIDE[k, 1], pelvis[0] + _WIDE[k, 0]
-            row[3] = faint * _WIDE[k, 2]
+        lay_shadow(joints[n], found[n])
+
+
+@njit
+def lay_shadow(at, out):  # type: ignore[no-untyped-def]
+    """Write the places and opacities [SHADOWS, 4] under joints [55, 3]; see `shadow_places`."""
+    out[:, 2] = _RAISED
+    for foot in range(2):
+        ankle, toe = at[_AT_SHADOWS[foot]], at[_AT_SHADOWS[2 + foot]]
+        x, z = toe[0] - ankle[0], toe[2] - ankle[2]
+        length = max(math.sqrt(x * x + z * z), 1e-6)
+        x, z = x / length, z / length
+        tread = math.exp(-max(toe[1] - 0.02, 0.0) / 0.08)
+        for k in range(_FOOT.shape[0]):
+            row = out[foot * _FOOT.shape[0] + k]
+            u, v, dark = _FOOT[k, 0], _FOOT[k, 1], _FOOT[k, 2]
+            row[0] = 0.4 * ankle[2] + 0.6 * toe[2] + u * z - v * x
+            row[1] = 0.4 * ankle[0] + 0.6 * toe[0] + u * x + v * z
+            row[3] = tread * dark
+    pelvis = at[_AT_SHADOWS[4]]
+    faint = math.exp(-max(pelvis[1] - 0.9, 0.0))
+    for k in range(_WIDE.shape[0]):
+        row = out[2 * _FOOT.shape[0] + k]
+        row[0], row[1] = pelvis[2] + _WIDE[k, 1], pelvis[0] + _WIDE[k, 0]
+        row[3] = faint * _WIDE[k, 2]

@@ -10,22 +10,28 @@ from __future__ import annotations
 
 import warnings
 import weakref
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from itertools import compress
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.avatars.avatar import SHADOWS, Avatar, shadow_places
-from gn0.avatars.body import check_pose
+from gn0.avatars.code_map import U64, CodeMap
+from gn0.avatars.coded_poses import (
+    AvatarPose,
+    CodedPoses,
+    PosesOneByOne,
+    check_all,
+    place_avatars,
+)
 from gn0.avatars.kept_rows import KeptRows
 from gn0.avatars.posed_bank import BUDGET
-from gn0.avatars.posture import Posture, place_all
-from gn0.avatars.skeleton import JOINT_COUNT
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError
-from gn0.geometry import F64
+from gn0.geometry import F32, F64
 from gn0.render.cuda.posed import (
     Posing,
     ReadyPoses,
@@ -33,42 +39,15 @@ from gn0.render.cuda.posed import (
     RestDevice,
     SlotFinder,
     posed_bytes,
-    ready_all,
     row_width,
 )
 
 POSTURES = 128 * 2**20  # bytes on the host
 _FADES = 256  # calls in which an asking comes to count half
 FRAMES = 2**18  # boxes of postures at levels of detail, kept likewise
+_NAMES = 2**63  # from there on are codes of keys that are none
+_NAMES_MOST = 2**18  # keys whose codes are known, while others have no clouds
 _FRAME = np.dtype([("box", "<f4", 7), ("step", "<f4"), ("kind", "<i4")])
-
-
-class AvatarPose(Protocol):
-    """A pose of an avatar that is to be drawn."""
-
-    @property
-    def avatar(self) -> Avatar:
-        """Of whom, at a level of detail."""
-        ...
-
-    @property
-    def rest_key(self) -> Hashable:
-        """Equal for poses of the same avatar at the same level."""
-        ...
-
-    def turn(self) -> tuple[F64, F64]:
-        """Pose [55, 3] rad and shift [3] m."""
-        ...
-
-
-@runtime_checkable
-class PosesTogether(Protocol):
-    """A pose whose like are quicker found together."""
-
-    @staticmethod
-    def turn_all(poses: Sequence[Any]) -> list[tuple[F64, F64]]:
-        """What `turn` gives for each of the same type."""
-        ...
 
 
 @runtime_checkable
@@ -131,7 +110,8 @@ def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Po
     """
     if not wanted:
         return []
-    placed = _place_all([(avatar, pose, shift) for avatar, _, pose, shift in wanted])
+    avatars, _, poses, shifts = zip(*wanted, strict=True)
+    placed = place_avatars(avatars, check_all(poses), np.stack(shifts))
     floors = shadow_places(placed.joints)
     return [
         Posing(rest, *what)
@@ -139,16 +119,6 @@ def posings_of(wanted: Sequence[tuple[Avatar, RestDevice, F64, F64]]) -> list[Po
             wanted, placed.transforms, placed.turns, floors, strict=True
         )
     ]
-
-
-def _place_all(wanted: Sequence[tuple[Avatar, F64, F64]]) -> Posture:
-    """Joints of avatars, by pose and shift of each."""
-    joints, poses, shifts = zip(*wanted, strict=True)
-    return place_all(
-        np.stack([avatar.joints for avatar in joints]),
-        np.stack([pose if pose.shape == (JOINT_COUNT, 3) else check_pose(pose) for pose in poses]),
-        np.stack(shifts),
-    )
 
 
 @dataclass(eq=False)
@@ -204,17 +174,19 @@ class PosedBankDevice:
             )
         self.renderer, self.budget = renderer, budget
         self.hits = self.misses = self.evicted = self.launches = 0
-        self._held: dict[Hashable, int] = {}  # slots
+        self._held = CodeMap()  # slots
+        self._named: dict[Hashable, int] = {}  # codes of keys that are none
+        self._next_name = _NAMES
         self._kinds: list[_Kind] = []
         self._numbers: dict[Hashable, int] = {}  # of kinds, by their keys
         width = row_width(SHADOWS)
         self._postures = KeptRows((np.float32, (width,)), max(postures // (4 * width), 1))
         self._frames = KeptRows(_FRAME, FRAMES)
+        self._rows = np.empty((0, width), np.float32)
         self._bytes = self._call = 0
         self._warned = False
-        # of each slot: key, kind (-1: free), code (0: its key is none), call that asked for it
-        # last, and how often it was asked for, older askings less
-        self._keys: list[Hashable] = []
+        # of each slot: kind (-1: free), code, call that asked for it last, and how often it was
+        # asked for, older askings less
         self._kind_of = np.zeros(0, np.int64)
         self._codes = np.zeros(0, np.uint64)
         self._used = np.zeros(0, np.int64)
@@ -228,7 +200,8 @@ class PosedBankDevice:
         return len(self._held)
 
     def __contains__(self, key: object) -> bool:
-        return key in self._held
+        code = _code_of(key) or self._named.get(cast(Hashable, key), 0)
+        return bool((self._held.find(np.array([code], np.uint64)) >= 0)[0])
 
     @property
     def bytes(self) -> int:
@@ -258,31 +231,35 @@ class PosedBankDevice:
             DeviceMemoryError: the device has no room for them.
         """
         self._call += 1
-        lacking: dict[Hashable, AvatarPose] = {}
-        for key, pose in wanted:
-            held = self._held.get(key)
-            if held is not None or key in lacking:
-                self.hits += 1
-            else:
-                self.misses += 1
-                lacking[key] = pose
-            if held is not None and self._used[held] < self._call:
-                self._used[held] = self._call
-                self._asked[held] += 1.0
-        self._fill(list(lacking), list(lacking), lacking.__getitem__)
-        return [self._held[key] for key, _ in wanted]
+        codes = np.array([self._name_code(key) for key, _ in wanted], np.uint64)
+        slots = self._held.find(codes)
+        used = np.unique(slots[slots >= 0])
+        self._used[used] = self._call
+        self._asked[used] += 1.0
+        lacking: dict[int, AvatarPose] = {}
+        for n in np.flatnonzero(slots < 0).tolist():
+            lacking.setdefault(int(codes[n]), wanted[n][1])
+        self.misses += len(lacking)
+        self.hits += len(wanted) - len(lacking)
+        self._fill(np.array([*lacking], np.uint64), PosesOneByOne(lacking.__getitem__))
+        return self._held.find(codes).tolist()
+
+    def _name_code(self, key: Hashable) -> int:
+        """The code of a key: itself, or one above those of kernels."""
+        code = _code_of(key) or self._named.get(key, 0)
+        if not code:
+            if len(self._named) >= _NAMES_MOST:  # those whose clouds went
+                here = self._held.find(np.array([*self._named.values()], np.uint64)) >= 0
+                self._named = dict(compress(self._named.items(), here.tolist()))
+            code = self._named[key] = self._next_name
+            self._next_name += 1
+        return code
 
     def name(self, slot: int) -> str:
         """The name by which the renderer knows a slot, for `Instance`."""
         return self.renderer.name_part(slot)
 
-    def find(
-        self,
-        codes: DeviceArray,
-        chosen: DeviceArray,
-        pose: Callable[[int], AvatarPose],
-        posture: Callable[[int], Hashable] | None = None,
-    ) -> int:
+    def find(self, codes: DeviceArray, chosen: DeviceArray, poses: CodedPoses) -> int:
         """Write the slots of clouds that a kernel asks for, by codes as keys.
 
         One small kernel and one word that comes back where all are here; else those that lack are
@@ -291,9 +268,7 @@ class PosedBankDevice:
         Args:
             codes: uint64 [I] on the device, below 2⁶³; 0 is nobody.
             chosen: int32 [I] there, which gets slots, -1 for nobody.
-            pose: what poses a code.
-            posture: equal for codes whose `pose` has the same turn and the same joints at rest,
-                as levels of detail have; without it each has its own.
+            poses: what codes stand for.
 
         Returns:
             How many clouds were not here.
@@ -305,12 +280,12 @@ class PosedBankDevice:
         lacking = self._look(codes, chosen)
         self.misses += len(lacking)
         self.hits += len(codes) - len(lacking)
-        if lacking:
-            self._fill(lacking, lacking if posture is None else list(map(posture, lacking)), pose)
+        if len(lacking):
+            self._fill(lacking, poses)
             self._look(codes, chosen)
         return len(lacking)
 
-    def _look(self, codes: DeviceArray, chosen: DeviceArray) -> list[int]:
+    def _look(self, codes: DeviceArray, chosen: DeviceArray) -> U64:
         if self._stale:
             slots = np.flatnonzero(self._codes)
             self._finder.set(self._codes[slots], slots.astype(np.int32), max(len(self._used), 1))
@@ -332,81 +307,80 @@ class PosedBankDevice:
         self._asked *= 0.5 ** ((self._call - self._faded) / _FADES)
         self._faded = self._call
 
-    def _fill(
-        self,
-        keys: list[Any],
-        postures: list[Any],
-        pose: Callable[[Any], AvatarPose],
-    ) -> None:
-        """Make the clouds of keys that are not held, each once, by one launch."""
-        if not keys:
+    def _fill(self, codes: U64, poses: CodedPoses) -> None:
+        """Make the clouds of codes that are not held, each once, by one launch."""
+        if not len(codes):
             return
         self._fade()
         self._take_stamps()
-        framed, turned = self._frames.find(keys), self._postures.find(postures)
+        postures = poses.postures(codes)
+        framed, turned = self._frames.find(codes), self._postures.find(postures)
         known = (framed >= 0) & (turned >= 0)
         old, new = np.flatnonzero(known), np.flatnonzero(~known)
-        poses = {n: pose(keys[n]) for n in new.tolist()}
-        frames = np.zeros(len(keys), _FRAME)
+        frames = np.zeros(len(codes), _FRAME)
         frames[old] = self._frames.read(framed[old])
-        frames["kind"][new] = [self._kind_number(one) for one in poses.values()]
-        kinds, which, counts = np.unique(frames["kind"], return_inverse=True, return_counts=True)
+        if len(new):
+            frames["kind"][new] = self._find_kinds(codes[new], poses)
+        kinds, first, which, counts = np.unique(
+            frames["kind"], return_index=True, return_inverse=True, return_counts=True
+        )
         sizes = np.array([kind.size for kind in self._kinds])
         self._make_room(int(sizes[kinds] @ counts))
-        for number in kinds.tolist():
+        for number, code in zip(kinds.tolist(), codes[first].tolist(), strict=True):
             kind = self._kinds[number]
             if kind.rest is None:
-                n = int(np.flatnonzero(frames["kind"] == number)[0])
-                avatar = (poses[n] if n in poses else pose(keys[n])).avatar
-                kind.rest = self.renderer.bring_rest(rest_of(avatar))
+                kind.rest = self.renderer.bring_rest(rest_of(poses.avatar(code)))
         rests = [self._rest(number) for number in kinds.tolist()]
-        rows = np.empty((len(keys), row_width(SHADOWS)), np.float32)
-        rows[old] = self._postures.read(turned[old])
-        if poses:
-            wanted = list(poses.values())
-            turns = _turn_all(wanted)
-            placed = _place_all(
-                [(one.avatar, *turn) for one, turn in zip(wanted, turns, strict=True)]
-            )
-            floors = shadow_places(placed.joints)
-            ready = ready_all(rests, which[new], placed.transforms, placed.turns, floors)
-            rows[new], frames["box"][new], frames["step"][new] = ready
-            self._postures.keep([postures[n] for n in poses], ready.rows)
-            self._frames.keep([keys[n] for n in poses], frames[new])
+        rows = self._take_rows(len(codes))
+        self._postures.copy(turned[old], rows, old)
+        if len(new):
+            made = poses.ready(codes[new], rests, which[new], rows, new)
+            frames["box"][new], frames["step"][new] = made
+            self._postures.keep(postures[new], rows, new)
+            self._frames.keep(codes[new], frames[new])
         ready = ReadyPoses(rows, frames["box"].copy(), frames["step"].copy())
-        slots = self.renderer.pose_parts(rests, which, ready)
+        slots = np.array(self.renderer.pose_parts(rests, which, ready), np.int64)
         self.launches += 1
         self._stale = True
-        self._hold(keys, slots, frames["kind"])
+        self._hold(codes, slots, frames["kind"])
         for kind in self._kinds:
             if not kind.clouds:
                 kind.rest = None
 
-    def _kind_number(self, pose: AvatarPose) -> int:
-        number = self._numbers.setdefault(pose.rest_key, len(self._kinds))
-        if number == len(self._kinds):
-            self._kinds.append(_Kind(pose.rest_key, _size_of(pose.avatar)))
-        return number
+    def _take_rows(self, count: int) -> F32:
+        """Rows of postures, until the next call: memory that is new costs more than to write it."""
+        if len(self._rows) < count:
+            self._rows = np.empty((2 * count, row_width(SHADOWS)), np.float32)
+        return self._rows[:count]
+
+    def _find_kinds(self, codes: U64, poses: CodedPoses) -> NDArray[np.int64]:
+        """Numbers of kinds of codes."""
+        keys, which = poses.rests(codes)
+        _, first = np.unique(which, return_index=True)
+        numbers = []
+        for key, code in zip(keys, codes[first].tolist(), strict=True):
+            number = self._numbers.setdefault(key, len(self._kinds))
+            if number == len(self._kinds):
+                self._kinds.append(_Kind(key, _size_of(poses.avatar(code))))
+            numbers.append(number)
+        return np.array(numbers, np.int64)[which]
 
     def _rest(self, number: int) -> RestDevice:
         rest = self._kinds[number].rest
         assert rest is not None
         return rest
 
-    def _hold(self, keys: list[Any], slots: list[int], kinds: NDArray[np.int32]) -> None:
-        """Note which keys new slots have."""
-        more = max(slots) + 1 - len(self._keys)
+    def _hold(self, codes: U64, slots: NDArray[np.int64], kinds: NDArray[np.int32]) -> None:
+        """Note which codes new slots have."""
+        more = int(slots.max()) + 1 - len(self._codes)
         if more > 0:
-            more += len(self._keys)  # twice as many
-            self._keys += [None] * more
+            more += len(self._codes)  # twice as many
             self._kind_of = np.append(self._kind_of, np.full(more, -1))
             self._codes = np.append(self._codes, np.zeros(more, np.uint64))
             self._used = np.append(self._used, np.zeros(more, np.int64))
             self._asked = np.append(self._asked, np.zeros(more))
-        for key, slot in zip(keys, slots, strict=True):
-            self._held[key] = slot
-            self._keys[slot] = key
-        self._codes[slots] = [key if isinstance(key, int) else 0 for key in keys]
+        self._held.put(codes, slots)
+        self._codes[slots] = codes
         self._kind_of[slots], self._used[slots], self._asked[slots] = kinds, self._call, 1.0
         self._count(kinds, 1)
 
@@ -440,9 +414,7 @@ class PosedBankDevice:
                 stacklevel=4,
             )
         slots = gone.tolist()
-        for slot in slots:
-            del self._held[self._keys[slot]]
-            self._keys[slot] = None
+        self._held.drop(self._codes[gone])
         self._count(self._kind_of[gone], -1)
         self._kind_of[gone], self._codes[gone] = -1, 0
         self.renderer.drop_parts(slots)
@@ -450,17 +422,14 @@ class PosedBankDevice:
         self._stale = True
 
 
-def _turn_all(poses: Sequence[AvatarPose]) -> list[tuple[F64, F64]]:
-    """Pose and shift of each."""
-    first = poses[0]
-    if isinstance(first, PosesTogether) and all(type(pose) is type(first) for pose in poses):
-        return first.turn_all(poses)
-    return [pose.turn() for pose in poses]
-
-
-def _let_go(renderer: HoldsParts, held: dict[Hashable, int]) -> None:
+def _let_go(renderer: HoldsParts, held: CodeMap) -> None:
     """Nobody will ask for them again."""
-    renderer.drop_parts(list(held.values()))
+    renderer.drop_parts(held.numbers.tolist())
+
+
+def _code_of(key: object) -> int:
+    """A key that a kernel could ask for; 0: it is none."""
+    return key if isinstance(key, int) and 0 < key < _NAMES else 0
 
 
 def _size_of(avatar: Avatar) -> int:

@@ -54,7 +54,7 @@ def place_joints(
     moved = np.zeros(3) if shift is None else np.ascontiguousarray(shift, np.float64)
     found = np.empty((JOINT_COUNT, 19))
     angles = np.ascontiguousarray(check_pose(pose))
-    if not _place(np.ascontiguousarray(rest, np.float64), angles, moved, found):
+    if not place_body(np.ascontiguousarray(rest, np.float64), angles, moved, found):
         raise DataError("a pose is not finite", where="pose")
     return Posture(
         np.ascontiguousarray(found[:, :12]).reshape(JOINT_COUNT, 3, 4),
@@ -91,12 +91,15 @@ def place_all(rests: F64, poses: F64, shifts: F64) -> Posture:
 @njit(parallel=True)
 def _place_all(rests, poses, shifts, found, fine):  # type: ignore[no-untyped-def]
     for n in prange(poses.shape[0]):
-        fine[n] = _place(rests[n], poses[n], shifts[n], found[n])
+        fine[n] = place_body(rests[n], poses[n], shifts[n], found[n])
 
 
 @njit
-def _place(rest, pose, shift, found):  # type: ignore[no-untyped-def]
-    """Fill rows of `found` [55, 19]: transform, turn, place; False if a number is not finite."""
+def place_body(rest, pose, shift, found):  # type: ignore[no-untyped-def]
+    """Fill rows of `found` [55, 19]: transform, turn, place; False if a number is not finite.
+
+    Of joints at rest [55, 3] m, a pose [55, 3] rad and a shift [3] m; see `Posture`.
+    """
     fine = True
     turned, placed = np.empty((JOINT_COUNT, 3, 3)), np.empty((JOINT_COUNT, 3))
     local = np.empty((3, 3))

@@ -20,17 +20,13 @@ from gn0.avatars.avatar import Avatar
 from gn0.avatars.held import HELD
 from gn0.avatars.motion.gait import PHASES, SPEEDS
 from gn0.avatars.motion.library import (
-    LOOKS,
     PIVOTS,
     SETTLES,
-    ClipLibrary,
-    blend_many,
     look_class,
     speed_class,
-    turn_head,
 )
-from gn0.avatars.motion.standing import FPS, GESTURES, IDLES, ease
-from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS, Steps
+from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
+from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS, SETTLE_ROWS
 from gn0.avatars.posture import Posture
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
@@ -54,19 +50,17 @@ from gn0.people.reach import (
     Y,
 )
 from gn0.people.route import BRAKE, I64
+from gn0.people.shown_poses import BLEND, find_turns, frame_of, turn_people
 from gn0.render.cpu_posed import PosedPacked
 from gn0.seeds import derive_seed
 
 _STEP = 12  # frames of a clip by time that one is shown for: two fifths of a second
-_BLEND = 4  # ticks that one clip goes over into another
 _PAUSE = 5.0  # s between gestures of who stands
 _NEAR, _SIDE = 2.5, 1.3  # m and rad within which an agent is looked at
 STOOD = (-48, 15)  # mm, of feet before a body that sets off or stops
-_SHARES = [float(ease(np.asarray(quarter / _BLEND))) for quarter in range(_BLEND + 1)]
 _RIGHT_SWINGS = 0.33  # phase of a walk at which the right foot is in the middle of its swing
 _STRAIGHT = look_class(0.0)
 _BY_ROW = ("walk", *PIVOTS, *SETTLES)
-_Read = tuple[str, float, float]  # a clip, where it is read, and its speed
 
 
 class Shown(NamedTuple):
@@ -112,7 +106,7 @@ def show_person(
     since = int(whole[CLIP_SINCE])
     hx, hy = float(real[HX]), float(real[HY])
     forward, gone, pivot, at_x, at_y = 0.0, 0.0, None, real[X], real[Y]
-    clip, frame, other, other_frame, quarter = "", 0, "", 0, _BLEND
+    clip, frame, other, other_frame, quarter = "", 0, "", 0, BLEND
     gait, early, stood = speed_class(person.speed), 0, 0
     if person.behaviour == "sit":
         clip = person.clip or "sit"
@@ -126,7 +120,7 @@ def show_person(
         phase = round(cycles * PHASES)
         pivot = _pivot(real, whole)
         if pivot is None:
-            still, frame = IDLES[seed % len(IDLES)], _frame(0.1 * max(since - _BLEND, 0))
+            still, frame = IDLES[seed % len(IDLES)], _frame(0.1 * max(since - BLEND, 0))
         else:
             still, frame = pivot
         if whole[CLIP] == WALK:
@@ -134,14 +128,14 @@ def show_person(
             frame = phase % PHASES
         else:
             clip, other, other_frame = still, "walk", phase % PHASES
-        if since < _BLEND - 1:
+        if since < BLEND - 1:
             quarter = since + 1
         else:
             other, other_frame = "", 0
         # who stands is where it is: what the phase of a walk was off by would turn with it; it
         # comes and goes while no foot of the walk stands
-        part = min(since + 1, _BLEND)
-        walks = min(part, 2) if whole[CLIP] == WALK else min(_BLEND - part, 2)
+        part = min(since + 1, BLEND)
+        walks = min(part, 2) if whole[CLIP] == WALK else min(BLEND - part, 2)
         forward = 0.5 * walks * (phase / PHASES - cycles) * stride
         if other:
             speed = float(real[SPEED])
@@ -247,16 +241,21 @@ class PoseShown:
     @property
     def rest_key(self) -> tuple[str, int, str]:
         """Of the avatar, and of what its hands hold."""
-        return self.actor.digest, self.level, HELD.get(self.shown.clip, "")
+        return rest_key(self.actor, self.level, self.shown.clip)
 
     def turn(self) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m."""
         return turn_shown(self.actor, self.shown)
 
     @staticmethod
-    def turn_all(poses: Sequence[PoseShown]) -> list[tuple[F64, F64]]:
-        """The same of many, to the bit; all that blend are solved at once."""
+    def turn_all(poses: Sequence[PoseShown]) -> tuple[F64, F64]:
+        """The same of many [n, 55, 3] and [n, 3], to the bit; all that blend are solved at once."""
         return turn_all_shown([(one.actor, one.shown) for one in poses])
+
+
+def rest_key(actor: Actor, level: int, clip: str) -> tuple[str, int, str]:
+    """Of an actor at a level of detail, and of what its hands hold in a clip."""
+    return actor.digest, level, HELD.get(clip, "")
 
 
 def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
@@ -266,37 +265,27 @@ def pose_shown(actor: Actor, shown: Shown, level: int) -> GaussianCloud:
 
 def turn_shown(actor: Actor, shown: Shown) -> tuple[F64, F64]:
     """Pose [55, 3] rad and shift [3] m of an actor, as a key tells."""
-    return turn_all_shown([(actor, shown)])[0]
+    poses, shifts = turn_all_shown([(actor, shown)])
+    return poses[0], shifts[0]
 
 
-def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> list[tuple[F64, F64]]:
-    """The same of many, to the bit; all that blend are solved at once."""
-    found: dict[int, tuple[F64, F64]] = {}
-    blends: dict[int, tuple[tuple[ClipLibrary, _Read, _Read, float], Steps]] = {}
-    for n, (actor, shown) in enumerate(wanted):
+def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> tuple[F64, F64]:
+    """The same of many [n, 55, 3] and [n, 3], to the bit."""
+    count = len(wanted)
+    now, before = np.arange(count), np.arange(count)
+    frames = []
+    for actor, shown in wanted:
         library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
-        now = (shown.clip, _at(shown.clip, shown.frame), speed)
+        frames.append(frame_of(library, shown.clip, shown.frame, speed))
+    for n, (actor, shown) in enumerate(wanted):
         if shown.other:
-            before = (shown.other, _at(shown.other, shown.other_frame), speed)
-            share = _SHARES[shown.quarter]
-            # feet of a walk stay behind while its body turns on them
-            turned = _turned(shown.clip, shown.frame)
-            steps = Steps(shown.early, shown.clip != "walk", 1e-3 * shown.stood, turned)
-            blends[n] = (library, before, now, share), steps
-        else:
-            found[n] = library.pose_at(*now)
-    if blends:
-        mixed, stepped = zip(*blends.values(), strict=True)
-        poses, shifts = blend_many(mixed, steps=stepped)
-        found |= zip(blends, zip(poses, shifts, strict=True), strict=True)
-    aside = [n for n, (_, shown) in enumerate(wanted) if shown.look != _STRAIGHT]
-    if aside:
-        yaws = [math.radians(LOOKS[wanted[n][1].look]) for n in aside]
-        looked = turn_head(np.stack([found[n][0] for n in aside]), np.array(yaws))
-        found |= {n: (pose, found[n][1]) for n, pose in zip(aside, looked, strict=True)}
-    return [found[n] for n in range(len(wanted))]
-
-
-def _at(clip: str, frame: int) -> float:
-    """Where a clip is read: at a phase, or at a time [s]."""
-    return frame / PHASES if clip == "walk" else frame / FPS
+            before[n] = len(frames)
+            library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
+            frames.append(frame_of(library, shown.other, shown.other_frame, speed))
+    columns = [np.array(column) for column in zip(*(shown for _, shown in wanted), strict=True)]
+    of = dict(zip(Shown._fields, columns, strict=True))
+    turns = find_turns(
+        of["clip"], of["frame"], before != now, of["quarter"], of["look"], of["early"], of["stood"]
+    )
+    joints = np.stack([actor.levels[0].joints for actor, _ in wanted])
+    return turn_people(np.stack(frames), now, before, turns, joints)

@@ -29,13 +29,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
-from gn0.errors import ConfigError, EpisodeError, SimError
+from gn0.errors import ConfigError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
+from gn0.sim.device_choice import choose_episodes
 from gn0.sim.device_eyes import device_reader, refuse_host_sensors
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
 from gn0.sim.device_people import CompanyDevice
@@ -109,6 +110,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         vocabulary: how `instruction_tokens` are made, bytes when None; see
             `gn0.sim.words.Vocabulary`, whose fields it may also be.
         bank: of the people of episodes who have names in one, its folder or itself.
+        people_memory: bytes that people in poses may take on the device, beside `memory`; 512 MB
+            when None. Those who make room are posed again when they are seen.
 
     Raises:
         ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves,
@@ -155,6 +158,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         history_tile: tuple[int, int] | None = None,
         vocabulary: Vocabulary | Mapping[str, Any] | None = None,
         bank: AvatarBank | Path | str | None = None,
+        people_memory: int | None = None,
     ) -> None:
         self.num_envs = num_envs
         self.sensors, words = split_sensors(sensors)
@@ -189,6 +193,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             visible_sets=visible_sets,
             motions=motions,
             bank=bank,
+            people_memory=people_memory,
             last=final_pictures,
         )
         self._admit(self.tasks.episodes)
@@ -605,34 +610,14 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def _choose(self, wanted: Any, count: int | None = None) -> NDArray[np.int64]:
         """Numbers [N] of the episodes named in `options["episode"]`, or of `count`."""
         count = self.num_envs if count is None else count
-        many = wanted if isinstance(wanted, list | tuple | np.ndarray) else [wanted]
-        if len(many) not in (1, count):
-            raise EpisodeError(
-                f"{len(many)} episodes for {count} environments",
-                remedy="give one each, or one for all",
-            )
         own = self.simulator.numbers
-        if isinstance(wanted, np.ndarray) and wanted.dtype.kind in "iu" and wanted.ndim == 1:
-            wrong = np.flatnonzero((wanted < 0) | (wanted >= len(own)))[:1]
-            if not len(wrong):
-                return np.resize(own[wanted].astype(np.int64), count)
-            many = wanted[wrong]
-        known = self._known if any(isinstance(value, str) for value in many) else {}
-        numbers = []
-        for value in many:
-            if isinstance(value, Episode):
-                self._told.check(value)
-                self._admit([value])
-                numbers.append(int(self.simulator.add_episodes([value])[0]))
-                continue
-            index = known.get(value, -1) if isinstance(value, str) else int(value)
-            if not 0 <= index < len(own):
-                raise EpisodeError(
-                    f"no episode {value!r}",
-                    remedy=f"give an id, an Episode or 0..{len(own) - 1}",
-                )
-            numbers.append(int(own[index]))
-        return np.resize(np.array(numbers, np.int64), count)
+        return choose_episodes(wanted, count, own, lambda: self._known, self._add)
+
+    def _add(self, episode: Episode) -> int:
+        """The number of an episode that may be a new one."""
+        self._told.check(episode)
+        self._admit([episode])
+        return int(self.simulator.add_episodes([episode])[0])
 
     @cached_property
     def _known(self) -> dict[str, int]:

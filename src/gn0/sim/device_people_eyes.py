@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import GRAIN, REACH_PX
 from gn0.avatars.light import find_probes
-from gn0.avatars.motion.library import LOOPS, PIVOTS, SETTLES, speed_class
+from gn0.avatars.motion.library import LOOPS, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
 from gn0.avatars.posed_bank import BUDGET, NEARER
@@ -28,7 +28,7 @@ from gn0.geometry import F32, F64
 from gn0.missions.episode import Episode
 from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson
-from gn0.people.shown import STOOD, PoseShown, Shown
+from gn0.people.shown_codes import ShownCodes
 from gn0.render.instance import PartsDevice
 from gn0.scenes.scene import Scene
 from gn0.seeds import derive_seed
@@ -42,10 +42,6 @@ if TYPE_CHECKING:
 
     from gn0.sim.device_state import SimulatorDevice
 
-_NONE = 63  # no clip
-_BITS = (16, 2, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
-_LEVEL = (1 << _BITS[1]) - 1 << _BITS[0]
-_BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 # m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
 _SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
 _HIGH = 1.5  # m above or below an eye that a person may be
@@ -67,6 +63,7 @@ class PeopleEyesDevice:
         budget: bytes of posed clouds.
 
     Attributes:
+        codes: what kernels say of people.
         posed: the posed clouds.
 
     Raises:
@@ -91,10 +88,7 @@ class PeopleEyesDevice:
             )
         self._scenes, self.cast = scenes, Cast(bank)
         self.posed = PosedBankDevice(renderer, budget, postures=_POSTURES)
-        self._roles: dict[tuple[str, float], int] = {}
-        self._clips = {clip: number for number, clip in enumerate(_BY_NUMBER)}
-        self._whom: list[tuple[str, float]] = []  # roles and clips by number, as far as asked for
-        self._names: list[str] = []
+        self.codes = ShownCodes(self.cast)
         self._from = [0.0] + [
             GRAIN[level] * focal / REACH_PX[level] for level in range(1, len(GRAIN))
         ]
@@ -137,11 +131,10 @@ class PeopleEyesDevice:
     def _fill(self, row: Any, person: EpisodePerson) -> None:
         actor = self.cast.find(person.identity)
         library, seed = actor.library(person.seat), derive_seed(person.seed, "looks")
-        key = (person.identity, person.seat)
-        row["number"] = self._roles.setdefault(key, len(self._roles))
+        row["number"] = self.codes.role(person.identity, person.seat)
         row["offset"], row["gait"] = seed % _OFFSETS, speed_class(person.speed)
         idle = IDLES[seed % len(IDLES)]
-        row["idle"], row["idle_rows"] = self._number(idle), len(library.clip(idle).plan)
+        row["idle"], row["idle_rows"] = self.codes.clip(idle), len(library.clip(idle).plan)
         reach, coarse = actor.reach
         row["still"], row["coarser"] = reach + _SWAYS, max(coarse - reach, 0.0)
         if person.behaviour == "script":
@@ -152,16 +145,13 @@ class PeopleEyesDevice:
         name = person.clip or ("sit" if sits else idle)
         clip = library.clip(name)
         assert clip.fps == FPS and not clip.stride
-        row["clip"], row["clip_rows"] = self._number(name), len(clip.plan)
+        row["clip"], row["clip_rows"] = self.codes.clip(name), len(clip.plan)
         row["clip_loops"], row["clip_rowed"] = name in LOOPS, name not in GESTURES
         row["reach"] = reach + _STRETCHES
         if sits:
             row["forward"] = actor.behind(person.seat)
         elif name not in IDLES:
             row["lasts"] = clip.seconds
-
-    def _number(self, clip: str) -> int:
-        return self._clips.setdefault(clip, len(self._clips))
 
     def show(self, simulator: SimulatorDevice) -> PartsDevice:
         """Who stands before each agent now; waits for the device to say whether all were posed."""
@@ -196,27 +186,5 @@ class PeopleEyesDevice:
             gains=gains,
         )
         company.kernels["show_people"].launch(blocks_of(count), THREADS, showing)
-        self.posed.find(codes, chosen, self.read_code, _posture_of)
+        self.posed.find(codes, chosen, self.codes)
         return PartsDevice(None, poses, chosen, each, gains, nearer)
-
-    def read_code(self, code: int) -> PoseShown:
-        """Who is shown how by a code."""
-        values, left = [], code - 1
-        for bits in _BITS:
-            values.append(left & ((1 << bits) - 1))
-            left >>= bits
-        role, level, clip, frame, gait, look, other, other_frame, quarter, early, stood = values
-        if role >= len(self._whom) or len(self._names) < len(self._clips):
-            self._whom, self._names = list(self._roles), list(self._clips)
-        (identity, seat), names = self._whom[role], self._names
-        before = "" if other == _NONE else names[other]
-        shown = Shown(
-            names[clip], frame, before, other_frame, quarter or 4, gait, look, seat, early,
-            stood + STOOD[0] if before else 0,
-        )  # fmt: skip
-        return PoseShown(self.cast.find(identity), shown, level)
-
-
-def _posture_of(code: int) -> int:
-    """A code without its level of detail."""
-    return (code - 1) & ~_LEVEL

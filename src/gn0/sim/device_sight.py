@@ -38,6 +38,7 @@ def open_eyes(
     visible_sets: bool,
     motions: Mapping[str, Motion] | None,
     bank: AvatarBank | Path | str | None,
+    people_memory: int | None,
     last: bool,
 ) -> EyesDevice | None:
     """The eyes of `count` agents; None where no sensor makes pictures.
@@ -52,10 +53,12 @@ def open_eyes(
         visible_sets: draw from the splats visible near each place.
         motions: what moves, by scene.
         bank: of named people.
+        people_memory: bytes of people in poses; 512 MB when None.
         last: whether last pictures are drawn as well.
 
     Raises:
-        ConfigError: see `EyesDevice`, or people beside what is not drawn with them.
+        ConfigError: see `EyesDevice`, people beside what is not drawn with them, or no memory for
+            them.
     """
     carried = config.carried
     peopled = draws_people(tasks.episodes, carried.sensors)
@@ -79,11 +82,13 @@ def open_eyes(
         )
     people: PeopleEyesDevice | None = None
     if peopled:
-        from gn0.sim.device_people_eyes import PeopleEyesDevice  # bodies are needed here
+        from gn0.avatars.posed_bank import BUDGET  # bodies are needed here
+        from gn0.sim.device_people_eyes import PeopleEyesDevice
 
         preset = config.preset
         people = PeopleEyesDevice(
             *(tasks.scenes, chosen, preset.rgb.fx, bank),
+            budget=BUDGET if people_memory is None else people_memory,
             widest=max(_half_width(camera) for camera in (preset.rgb, preset.depth)),
             pitch=math.radians(preset.pitch_degrees),
         )

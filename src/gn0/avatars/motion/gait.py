@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.avatars.motion.frames import solve_plan
 from gn0.avatars.motion.legs import (
     ANKLES,
     BALL,
@@ -27,7 +28,6 @@ from gn0.avatars.motion.legs import (
     lowest_of_feet,
     no_turns,
     rolled_ankles,
-    solve_plan,
     toes_of,
     turn_joint,
 )

@@ -1,14 +1,12 @@
-"""Plans of a body, and the pose that follows: feet stand where the plan says, legs are solved.
+"""Plans of a body, from which its pose follows: feet stand where the plan says.
 
-A plan holds where pelvis and feet are and how they turn; hip, knee and ankle follow by two-bone
-inverse kinematics in closed form. Plans blend without feet that slide, as poses do not. Frame of
-bodies, floor at y = 0.
+A plan holds where pelvis and feet are and how they turn; legs are solved from it (`frames`). Plans
+blend without feet that slide, as poses do not. Frame of bodies, floor at y = 0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +16,7 @@ from gn0.avatars.motion.turns import (
     about_axis,
     matrices_of,
     multiply,
-    quats_of_matrices,
     slerp,
-    vectors_of_quats,
 )
 from gn0.avatars.skeleton import INDEX, JOINT_COUNT
 from gn0.avatars.skinning import SkinWeights
@@ -69,28 +65,8 @@ class Build:
     @property
     def bones(self) -> tuple[F64, F64]:
         """Thighs and shanks at rest [2, 3] m."""
-        return _bones(self.joints)
-
-
-@dataclass(frozen=True, eq=False)
-class Bodies:
-    """What legs are solved with, of another body in each frame of a plan.
-
-    Attributes:
-        joints: at rest [T, 55, 3] m.
-    """
-
-    joints: F64
-
-    @property
-    def bones(self) -> tuple[F64, F64]:
-        """Thighs and shanks at rest [T, 2, 3] m."""
-        return _bones(self.joints)
-
-
-def _bones(rest: F64) -> tuple[F64, F64]:
-    knees = rest[..., KNEES, :]
-    return knees - rest[..., HIPS, :], rest[..., ANKLES, :] - knees
+        knees = self.joints[KNEES]
+        return knees - self.joints[HIPS], self.joints[ANKLES] - knees
 
 
 def measure_build(
@@ -127,11 +103,12 @@ def measure_build(
     return Build(rest, sole, heel, tip, thigh)
 
 
-# fields of a plan that are numbers, and the shape of each in a frame
+# fields of a plan that are numbers, and the shape of each in a frame; `frames` counts on it
 _FLAT = {
     "pelvis": (3,), "turn": (4,), "ankles": (2, 3), "feet": (2, 4), "toes": (2,), "knees": (2,),
     "upper": (JOINT_COUNT, 4),
 }  # fmt: skip
+FLAT_WIDTH = sum(math.prod(shape) for shape in _FLAT.values())  # numbers of a frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,43 +141,12 @@ class Plan:
         return Plan(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
-@dataclass(frozen=True, eq=False)
-class FlatPlan:
-    """Frames of a plan with all numbers of each together.
-
-    Attributes:
-        numbers: those of pelvis, turn, ankles, feet, toes, knees and upper [T, 245].
-        stands: whether each foot stands [T, 2].
-    """
-
-    numbers: F64
-    stands: NDArray[np.bool_]
-
-    @staticmethod
-    def of(plan: Plan) -> FlatPlan:
-        """A plan so."""
-        count = len(plan)
-        parts = [getattr(plan, name).reshape(count, -1) for name in _FLAT]
-        return FlatPlan(np.concatenate(parts, axis=1), plan.stands)
-
-    @staticmethod
-    def empty(frames: int) -> FlatPlan:
-        """So many frames, to be `put`."""
-        width = sum(math.prod(shape) for shape in _FLAT.values())
-        return FlatPlan(np.empty((frames, width)), np.empty((frames, 2), np.bool_))
-
-    def put(self, at: Sequence[int], other: FlatPlan, rows: Sequence[int]) -> None:
-        """Have frames `at` be rows of another's."""
-        self.numbers[at], self.stands[at] = other.numbers[rows], other.stands[rows]
-
-    @property
-    def plan(self) -> Plan:
-        """The plan that it is of."""
-        fields, end = {}, 0
-        for name, shape in _FLAT.items():
-            begin, end = end, end + math.prod(shape)
-            fields[name] = self.numbers[:, begin:end].reshape(-1, *shape)
-        return Plan(**fields, stands=self.stands)
+def flatten_plan(plan: Plan) -> F64:
+    """All numbers of a plan but `stands`, those of a frame together [T, 245]."""
+    count = len(plan)
+    return np.concatenate(
+        [np.asarray(getattr(plan, name), np.float64).reshape(count, -1) for name in _FLAT], axis=1
+    )
 
 
 def mix_plans(first: Plan, second: Plan, share: NDArray[np.floating] | float) -> Plan:
@@ -278,7 +224,7 @@ def lowest_of_feet(build: Build, ankles: F64, feet: F64) -> F64:
     return ankles[..., 1] + placed[..., 1].min(axis=-1)
 
 
-def hips_of(build: Build | Bodies, plan: Plan) -> F64:
+def hips_of(build: Build, plan: Plan) -> F64:
     """Places of the hip joints [T, 2, 3] m."""
     offsets = build.joints[..., HIPS, :] - build.joints[..., :1, :]
     turns = matrices_of(plan.turn)[:, None]
@@ -286,7 +232,7 @@ def hips_of(build: Build | Bodies, plan: Plan) -> F64:
     return plan.pelvis[:, None] + (x + y + z)
 
 
-def highest_pelvis(build: Build | Bodies, plan: Plan, reach: F64 | float = REACH) -> F64:
+def highest_pelvis(build: Build, plan: Plan, reach: F64 | float = REACH) -> F64:
     """How high the pelvis may be [T] m for both legs to reach the ankles, `reach` [T] of them."""
     thigh, shank = build.bones
     length = np.asarray(reach)[..., None] * (
@@ -296,47 +242,6 @@ def highest_pelvis(build: Build | Bodies, plan: Plan, reach: F64 | float = REACH
     level = np.sum((hips - plan.ankles)[..., [0, 2]] ** 2, axis=-1)
     room = np.sqrt(np.maximum(length**2 - level, 0.0))
     return (plan.ankles[..., 1] + room - (hips[..., 1] - plan.pelvis[:, None, 1])).min(axis=1)
-
-
-def _frames(hinge: F64, bone: F64) -> F64:
-    along = bone / np.linalg.norm(bone, axis=-1, keepdims=True)
-    across = hinge - (hinge * along).sum(-1, keepdims=True) * along
-    across = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return np.stack([across, along, np.cross(across, along)], axis=-1)
-
-
-def solve_plan(build: Build | Bodies, plan: Plan) -> tuple[F64, F64]:
-    """Poses [T, 55, 3] rad and shifts [T, 3] m of a plan.
-
-    Knees bend to the front alone; a foot out of reach is reached for with a straight leg.
-    """
-    thigh, shank = build.bones
-    upper, lower = np.linalg.norm(thigh, axis=-1), np.linalg.norm(shank, axis=-1)
-    hips = hips_of(build, plan)
-    gap = plan.ankles - hips
-    away = np.linalg.norm(gap, axis=-1, keepdims=True)
-    u = gap / away
-    span = np.clip(away[..., 0], 0.25 * (upper + lower), 0.9995 * (upper + lower))
-    front = matrices_of(about_axis("y", plan.knees))[..., :, 2]
-    front = front - (front * u).sum(-1, keepdims=True) * u
-    front /= np.linalg.norm(front, axis=-1, keepdims=True)
-    cosine = np.clip((upper**2 + span**2 - lower**2) / (2.0 * upper * span), -1.0, 1.0)
-    sine = np.sqrt(1.0 - cosine**2)
-    knee = upper[..., None] * (cosine[..., None] * u + sine[..., None] * front)
-    hinge = np.cross(front, u)
-    side = np.broadcast_to([1.0, 0.0, 0.0], (2, 3))
-    turned = {0: matrices_of(plan.turn)}
-    thighs = _frames(hinge, knee) @ np.swapaxes(_frames(side, thigh), -1, -2)
-    shanks = _frames(hinge, u * span[..., None] - knee) @ np.swapaxes(_frames(side, shank), -1, -2)
-    feet = matrices_of(plan.feet)
-    back = np.swapaxes(turned[0], -1, -2)[:, None]
-    quats = plan.upper.copy()
-    quats[:, 0] = plan.turn
-    quats[:, HIPS] = quats_of_matrices(back @ thighs)
-    quats[:, KNEES] = quats_of_matrices(np.swapaxes(thighs, -1, -2) @ shanks)
-    quats[:, ANKLES] = quats_of_matrices(np.swapaxes(shanks, -1, -2) @ feet)
-    quats[:, TOES] = about_axis("x", -plan.toes)
-    return vectors_of_quats(quats), plan.pelvis - build.joints[..., 0, :]
 
 
 def no_turns(frames: int) -> F64:

@@ -15,6 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.avatars.motion.frames import blend_ends, solve_plan
 from gn0.avatars.motion.gait import (
     PHASES,
     RUN_SPEED,
@@ -27,14 +28,7 @@ from gn0.avatars.motion.gait import (
     shape_gait,
 )
 from gn0.avatars.motion.hands import BUSY, plan_busy, plan_carrying
-from gn0.avatars.motion.legs import (
-    Bodies,
-    Build,
-    FlatPlan,
-    Plan,
-    mix_plans,
-    solve_plan,
-)
+from gn0.avatars.motion.legs import FLAT_WIDTH, Build, Plan, flatten_plan
 from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.standing import (
     FPS,
@@ -54,7 +48,6 @@ from gn0.avatars.motion.stepping import (
     plan_start,
     plan_stop,
     plan_turn,
-    step_plans,
 )
 from gn0.avatars.motion.turns import about_axis, multiply, quats_of, vectors_of_quats
 from gn0.avatars.skeleton import INDEX
@@ -132,9 +125,9 @@ class Clip:
     meets: float = 0.0
 
     @cached_property
-    def flat(self) -> FlatPlan:
-        """The plan with all numbers of a frame together: quick to gather from."""
-        return FlatPlan.of(self.plan)
+    def flat(self) -> F64:
+        """The numbers of the plan, those of a frame together [T, 245]."""
+        return flatten_plan(self.plan)
 
     @property
     def seconds(self) -> float:
@@ -360,37 +353,23 @@ def blend_many(
     Raises:
         DataError: no clip of that name.
     """
-    before = _between([(library, *first) for library, first, _, _ in blends])
-    after = _between([(library, *second) for library, _, second, _ in blends])
+    count = len(blends)
+    ends, parts = np.empty((count, 4, FLAT_WIDTH)), np.empty((count, 2))
+    for n, (library, first, second, _) in enumerate(blends):
+        for k, place in enumerate((first, second)):
+            ends[n, 2 * k : 2 * k + 2], parts[n, k] = _between(library, *place)
     share = np.array([share for *_, share in blends])
-    bodies = Bodies(np.stack([library.build.joints for library, *_ in blends]))
-    if steps is None:
-        mixed = mix_plans(before, after, share)
-    else:
-        mixed = step_plans(bodies, before, after, share, steps)
-    return solve_plan(bodies, mixed)
+    joints = np.stack([library.build.joints for library, *_ in blends])
+    stepping = None if steps is None else np.array([one.numbers for one in steps], np.float64)
+    return blend_ends(joints, ends, parts, share, stepping)
 
 
-def _between(places: Sequence[tuple[ClipLibrary, str, float, float]]) -> Plan:
-    """Plans of clips between their frames, each of (library, name, at, speed)."""
-    rows: dict[int, tuple[Clip, list[int], list[int], list[int]]] = {}  # of each clip
-    count = len(places)
-    shares = np.empty(count)
-    for n, (library, name, at, speed) in enumerate(places):
-        clip = library.clip(name, speed)
-        frames = len(clip.plan)
-        frame = at * frames if clip.stride else at * clip.fps
-        frame = frame % frames if clip.loop else min(max(frame, 0.0), frames - 1.0)
-        row = math.floor(frame)
-        after = (row + 1) % frames if clip.loop else min(row + 1, frames - 1)
-        _, where, low, high = rows.setdefault(id(clip), (clip, [], [], []))
-        where.append(n)
-        low.append(row % frames)
-        high.append(after)
-        shares[n] = frame - row
-    # one gather a clip: a step of a thousand agents blends those of a hundred
-    ends = FlatPlan.empty(2 * count)
-    for clip, where, low, high in rows.values():
-        ends.put([*where, *(count + n for n in where)], clip.flat, [*low, *high])
-    whole = ends.plan
-    return mix_plans(whole.rows(slice(count)), whole.rows(slice(count, None)), shares)
+def _between(library: ClipLibrary, name: str, at: float, speed: float) -> tuple[F64, float]:
+    """The frames [2, 245] of a clip between which it is read, and the share of the way."""
+    clip = library.clip(name, speed)
+    frames = len(clip.plan)
+    frame = at * frames if clip.stride else at * clip.fps
+    frame = frame % frames if clip.loop else min(max(frame, 0.0), frames - 1.0)
+    row = math.floor(frame)
+    after = (row + 1) % frames if clip.loop else min(row + 1, frames - 1)
+    return clip.flat[[row % frames, after]], frame - row

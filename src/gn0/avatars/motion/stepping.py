@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.avatars.motion.frames import STEP_LIFT
 from gn0.avatars.motion.gait import (
     Gait,
     Style,
@@ -20,7 +20,6 @@ from gn0.avatars.motion.gait import (
 )
 from gn0.avatars.motion.legs import (
     SIGN,
-    Bodies,
     Build,
     Plan,
     highest_pelvis,
@@ -255,7 +254,6 @@ PIVOT = np.pi / 4  # that a body turns while both feet step once [rad]
 PIVOT_ROWS = 60  # of a pivot, and one more at its end
 SETTLE_ROWS = 8  # in which feet step after a body that stopped at any of those
 _SWINGS = ((0.06, 0.46), (0.54, 0.94))  # of a pivot, of the foot that goes first and the other
-_PIVOT_LIFT = 0.035  # m
 
 
 def plan_pivot(build: Build, style: Style, side: int) -> Plan:
@@ -281,7 +279,7 @@ def plan_settle(build: Build, style: Style, side: int) -> Plan:
     u = np.clip(2.0 * since[:, None] - late, 0.0, 1.0)
     goes = np.abs(facing - turned[:, None]) > 1e-3
     facing = facing + ease(1.4 * u - 0.2) * (turned[:, None] - facing)
-    step = 0.8 * _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * goes
+    step = 0.8 * STEP_LIFT * (1.0 - (2.0 * u - 1.0) ** 4) * goes
     lift = np.maximum(lift * (1.0 - ease(u)), step)
     return _turn_on(build, style, side, turned, facing, lift)
 
@@ -292,7 +290,7 @@ def _pivot_feet(turned: F64, side: int) -> tuple[F64, F64]:
     for k, (start, stop) in zip((side, 1 - side), _SWINGS, strict=True):
         u = np.clip((turned - start) / (stop - start), 0.0, 1.0)
         facing[:, k] = ease(1.4 * u - 0.2)
-        lift[:, k] = _PIVOT_LIFT * (1.0 - (2.0 * u - 1.0) ** 4)
+        lift[:, k] = STEP_LIFT * (1.0 - (2.0 * u - 1.0) ** 4)
     return facing, lift
 
 
@@ -323,50 +321,7 @@ class Steps:
     stood: float
     turned: float
 
-
-def _turn_feet(plan: Plan, turned: F64) -> Plan:
-    """The plan [T] on feet that its bodies have turned on."""
-    back = about_axis("y", np.repeat(-turned[:, None], 2, axis=1))
-    ankles = np.einsum("tkab,tkb->tka", matrices_of(back), plan.ankles)
-    knees = plan.knees - 0.7 * turned[:, None]
-    return replace(plan, ankles=ankles, feet=multiply(back, plan.feet), knees=knees)
-
-
-def _move_feet(plan: Plan, stood: F64, turned: F64) -> Plan:
-    """The plan [T] on feet before where their bodies were ahead [m], before these turned."""
-    ahead = np.stack([-np.sin(turned), np.zeros(len(turned)), np.cos(turned)], axis=1)
-    return replace(plan, ankles=plan.ankles + (stood[:, None] * ahead)[:, None])
-
-
-def step_plans(
-    build: Build | Bodies,
-    first: Plan,
-    second: Plan,
-    share: NDArray[np.floating],
-    steps: Sequence[Steps],
-) -> Plan:
-    """The `share` [T] (0..1) of the way between plans [T], one foot after the other, and lifted."""
-    stops = np.array([one.stops for one in steps])
-    stood = np.array([one.stood for one in steps])
-    turned = np.where(stops, [one.turned for one in steps], 0.0)
-    early = np.array([one.early for one in steps])
-    first = _turn_feet(first, turned)
-    first = _move_feet(first, np.where(stops, 0.0, stood), np.zeros(len(steps)))
-    second = _move_feet(second, np.where(stops, stood, 0.0), turned)
-    mixed = mix_plans(first, second, share)
-    first, second = (replace(one, upper=one.upper[:, :0]) for one in (first, second))  # feet alone
-    away = np.linalg.norm(second.ankles - first.ankles, axis=-1)
-    # who sets off may still be turning, and what is down would turn with him: down in the end
-    quick = np.where(stops, 2.0, 1.6)
-    for k in (0, 1):
-        u = np.clip(np.where(k == early, quick * share, 2.0 * share - 1.0), 0.0, 1.0)
-        foot = mix_plans(first, second, ease(u))
-        for name in ("ankles", "feet", "toes", "knees", "stands"):
-            getattr(mixed, name)[:, k] = getattr(foot, name)[:, k]
-        middle = (2.0 * u - 1.0) * (2.0 * u - 1.0)
-        mixed.ankles[:, k, 1] += (
-            _PIVOT_LIFT * (1.0 - middle * middle) * np.minimum(away[:, k] / 0.05, 1.0)
-        )
-    pelvis = mixed.pelvis.copy()
-    pelvis[:, 1] = np.minimum(pelvis[:, 1], highest_pelvis(build, mixed, 0.998))
-    return replace(mixed, pelvis=pelvis)
+    @property
+    def numbers(self) -> tuple[float, float, float, float]:
+        """As `frames.step_frames` takes them."""
+        return float(self.early), float(self.stops), self.stood, self.turned

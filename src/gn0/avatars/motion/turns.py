@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.jit import njit, prange
+from gn0.jit import njit, njit_borrowing, prange
 
 _MANY = 1024  # rotations that are worth several threads
 _AXES = {"x": 1, "y": 2, "z": 3}
@@ -71,34 +71,34 @@ def slerp(a: NDArray[np.floating], b: NDArray[np.floating], share: NDArray[np.fl
 @njit
 def _slerp(a, b, share, out):  # type: ignore[no-untyped-def]
     for n in range(a.shape[0]):
-        _slerp_one(a[n], b[n], share[n], out[n])
+        slerp_one(a[n], b[n], share[n], out[n], 0)
 
 
 @njit(parallel=True)
 def _slerp_many(a, b, share, out):  # type: ignore[no-untyped-def]
     for n in prange(a.shape[0]):
-        _slerp_one(a[n], b[n], share[n], out[n])
+        slerp_one(a[n], b[n], share[n], out[n], 0)
 
 
-@njit
-def _slerp_one(a, b, t, out):  # type: ignore[no-untyped-def]
-    sign = -1.0 if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0.0 else 1.0
-    less = more = 0.0
-    for k in range(4):
-        less += (a[k] - sign * b[k]) ** 2
-        more += (a[k] + sign * b[k]) ** 2
-    # the angle by its chords, which keeps its digits where the arc cosine has none
-    angle = 2.0 * math.atan2(math.sqrt(less), math.sqrt(more))
+@njit_borrowing
+def slerp_one(a, b, t, out, to, at=-1):  # type: ignore[no-untyped-def]
+    """Write at `to` what is the share `t` of the way between quaternions there, or those `at`."""
+    at = to if at < 0 else at
+    a0, a1, a2, a3 = a[at], a[at + 1], a[at + 2], a[at + 3]
+    b0, b1, b2, b3 = b[at], b[at + 1], b[at + 2], b[at + 3]
+    sign = -1.0 if a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3 < 0.0 else 1.0
+    b0, b1, b2, b3 = sign * b0, sign * b1, sign * b2, sign * b3
+    less = (a0 - b0) ** 2 + (a1 - b1) ** 2 + (a2 - b2) ** 2 + (a3 - b3) ** 2
     left, right = 1.0 - t, t
-    if angle > 0.0:
+    if less > 0.0:
+        more = (a0 + b0) ** 2 + (a1 + b1) ** 2 + (a2 + b2) ** 2 + (a3 + b3) ** 2
+        # the angle by its chords, which keeps its digits where the arc cosine has none
+        angle = 2.0 * math.atan2(math.sqrt(less), math.sqrt(more))
         left, right = math.sin((1.0 - t) * angle), math.sin(t * angle)
-    length = 0.0
-    for k in range(4):
-        out[k] = left * a[k] + right * sign * b[k]
-        length += out[k] ** 2
-    length = math.sqrt(length)
-    for k in range(4):
-        out[k] /= length
+    w, x = left * a0 + right * b0, left * a1 + right * b1
+    y, z = left * a2 + right * b2, left * a3 + right * b3
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    out[to], out[to + 1], out[to + 2], out[to + 3] = w / length, x / length, y / length, z / length
 
 
 def matrices_of(quats: NDArray[np.floating]) -> F64:

@@ -32,6 +32,7 @@ SPLAT_BYTES = 16  # of a posed splat
 STEP_MOST = 1.0e-5  # m: a finer grid holds who reaches less than 10 m from its middle
 _MIDDLE = (0.0, 0.0, 1.0)  # m
 _STEPS = 2**20 - 1
+_LEAST = ALPHA_MIN / 2  # opacity
 _SLACK = 1e-4  # m: rounding
 _JOINTS, _OF_JOINT, _INFLUENCES = 55, 16, 4
 _MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
@@ -245,20 +246,18 @@ def ready_all(
         RenderError: see `ready_poses`.
     """
     count, most = floors.shape[:2]
-    rows = np.empty((count, row_width(most)), np.float32)
-    joints = rows[:, : _JOINTS * _OF_JOINT].reshape(count, _JOINTS, _OF_JOINT)
-    joints[..., :12] = transforms.reshape(count, _JOINTS, 12)
-    joints[..., 12:] = turns
-    lying = rows[:, _JOINTS * _OF_JOINT :].reshape(count, most, 4)
-    lying[..., :3] = floors[..., :3]
-    lying[..., 3] = np.log(np.clip(floors[..., 3].astype(np.float64), ALPHA_MIN / 2, 1.0))
-    boxes = np.empty((count, 7), np.float32)
+    joints = np.empty((count, _JOINTS, 16))
+    joints[..., :12], joints[..., 12:] = transforms.reshape(count, _JOINTS, 12), turns
+    rows, boxes = np.empty((count, row_width(most)), np.float32), np.empty((count, 7), np.float32)
+    _write_all(joints, floors, *shapes_of(rests), which.astype(np.int64), rows, boxes)
+    return ReadyPoses(rows, boxes, choose_steps(boxes))
+
+
+def shapes_of(rests: Sequence[RestDevice]) -> tuple[F64, NDArray[np.int64], F64]:
+    """What `write_pose` reads of those at rest: reach [R, 55, 4], lying [R] and widest [R]."""
     reach = np.stack([rest.reach for rest in rests])
-    laid = np.array([rest.lying for rest in rests], np.int64)
-    chosen = which.astype(np.int64)
-    _box_capsules(np.ascontiguousarray(transforms), floors, reach, laid, chosen, boxes)
-    boxes[:, 6] = np.array([rest.widest for rest in rests])[which]
-    return ReadyPoses(rows, boxes, _choose_steps(boxes))
+    lying = np.array([rest.lying for rest in rests], np.int64)
+    return reach, lying, np.array([rest.widest for rest in rests])
 
 
 def row_width(lying: int) -> int:
@@ -409,7 +408,7 @@ class SlotFinder:
         upload = self._device.upload
         self._held = upload(keys), upload(found), self._device.zeros((2, most), np.uint32)
 
-    def find(self, codes: DeviceArray, chosen: DeviceArray, stamp: int) -> list[int]:
+    def find(self, codes: DeviceArray, chosen: DeviceArray, stamp: int) -> NDArray[np.uint64]:
         """Write the slots of codes uint64 [I] to int32 [I]; 0 and those that are in none: -1.
 
         Returns:
@@ -426,7 +425,9 @@ class SlotFinder:
         )
         self._device.load(SOURCE)["find_slots"].launch(-(-count // 128), 128, record)
         lacking = int(missing[:1].numpy()[0])
-        return np.unique(missing[1 : 1 + lacking].numpy()).tolist() if lacking else []
+        if not lacking:
+            return np.zeros(0, np.uint64)
+        return np.unique(missing[1 : 1 + lacking].numpy())
 
     def uses(self) -> NDArray[np.uint32]:
         """When each slot was last found, and by how many stamps, since `set` [2, slots]."""
@@ -456,34 +457,48 @@ def _place_codes(codes, which, keys, found):  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True)
-def _box_capsules(transforms, floors, reach, lying, which, boxes):  # type: ignore[no-untyped-def]
-    """Boxes [n, :6] that hold all of each pose, without its splats.
+def _write_all(joints, floors, reach, lying, widest, which, rows, boxes):  # type: ignore[no-untyped-def]
+    for n in prange(rows.shape[0]):
+        k = which[n]
+        write_pose(joints[n], floors[n], reach[k], lying[k], widest[k], rows[n], boxes[n])
+
+
+@njit
+def write_pose(joints, floor, reach, lying, widest, row, box):  # type: ignore[no-untyped-def]
+    """Write a row [width] and a box [7] of `ReadyPoses`, the box without its splats.
 
     What hangs on joints is a mean of places none of which is further from where a joint goes than
-    it was at rest.
+    it was at rest. Of joints [55, 16 and more] the first numbers are transform and turn; `floor`
+    is [most, 4], and the rest is one of `shapes_of`.
     """
-    for n in prange(transforms.shape[0]):
-        low, high = np.empty(3), np.empty(3)
+    low, high = np.empty(3), np.empty(3)
+    for a in range(3):
+        low[a] = high[a] = _MIDDLE[a]
+    for j in range(_JOINTS):
+        for k in range(_OF_JOINT):
+            row[j * _OF_JOINT + k] = joints[j, k]
+        away = reach[j, 0]
+        if away < 0.0:  # nothing hangs there
+            continue
         for a in range(3):
-            low[a] = high[a] = _MIDDLE[a]
-        own = reach[which[n]]
-        for j in range(own.shape[0]):
-            away = own[j, 0]
-            if away < 0.0:  # nothing hangs there
-                continue
-            m = transforms[n, j]
-            for a in range(3):
-                at = m[a, 0] * own[j, 1] + m[a, 1] * own[j, 2] + m[a, 2] * own[j, 3] + m[a, 3]
-                low[a], high[a] = min(low[a], at - away), max(high[a], at + away)
-        for k in range(lying[which[n]]):
-            for a in range(3):
-                at = np.float64(floors[n, k, a])
+            m = 4 * a
+            at = joints[j, m] * reach[j, 1] + joints[j, m + 1] * reach[j, 2]
+            at = at + joints[j, m + 2] * reach[j, 3] + joints[j, m + 3]
+            low[a], high[a] = min(low[a], at - away), max(high[a], at + away)
+    for k in range(floor.shape[0]):
+        own = _JOINTS * _OF_JOINT + 4 * k
+        for a in range(3):
+            at = np.float64(floor[k, a])
+            row[own + a] = floor[k, a]
+            if k < lying:
                 low[a], high[a] = min(low[a], at), max(high[a], at)
-        for a in range(3):
-            boxes[n, a], boxes[n, 3 + a] = low[a] - _SLACK, high[a] + _SLACK
+        row[own + 3] = math.log(min(max(np.float64(floor[k, 3]), _LEAST), 1.0))
+    for a in range(3):
+        box[a], box[3 + a] = low[a] - _SLACK, high[a] + _SLACK
+    box[6] = widest
 
 
-def _choose_steps(boxes: F32) -> F32:
+def choose_steps(boxes: F32) -> F32:
     """The finest steps [n] m that hold boxes [n, 7] of centres.
 
     Raises:

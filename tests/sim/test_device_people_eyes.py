@@ -268,6 +268,7 @@ def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> N
         alone.reset(options={"episode": episodes[1]})
 
 
+@pytest.mark.filterwarnings("ignore:the people of one call need")  # of one byte
 def test_people_in_poses_take_the_memory_that_they_are_given(episodes, bank, preset) -> None:
     """What makes room is posed again, and pictures stay the same."""
     seen = {}

@@ -3,7 +3,7 @@
 The same keys as `PosedBank` has. A cloud is a slot of the renderer's table of parts: an instance
 names the slot (`PartsDevice` without names), or the slot's name. Clouds are packed to 16 bytes a
 splat; what no pose changes lies beside them once a person and level of detail, as long as one of
-its clouds does.
+its clouds does, and a little longer.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from gn0.render.cuda.posed import (
 )
 
 POSTURES = 128 * 2**20  # bytes on the host
+_LINGERS = 64  # calls for which those at rest outlast their clouds: bringing one takes ms
 _FADES = 256  # calls in which an asking comes to count half
 FRAMES = 2**18  # boxes of postures at levels of detail, kept likewise
 _NAMES = 2**63  # from there on are codes of keys that are none
@@ -128,14 +129,16 @@ class _Kind:
     Attributes:
         key: `AvatarPose.rest_key`.
         size: bytes of a cloud.
-        rest: itself at rest on the device, as long as a cloud is.
+        rest: itself at rest on the device, as long as a cloud is, and some calls more.
         clouds: how many there are.
+        last: call that left any.
     """
 
     key: Hashable
     size: int
     rest: RestDevice | None = None
     clouds: int = 0
+    last: int = 0
 
 
 class PosedBankDevice:
@@ -210,7 +213,7 @@ class PosedBankDevice:
 
     @property
     def rest_bytes(self) -> int:
-        """Bytes on the device of those at rest whose clouds are held."""
+        """Bytes on the device of those at rest whose clouds are held, or were of late."""
         return sum(kind.rest.nbytes for kind in self._kinds if kind.rest is not None)
 
     @property
@@ -344,7 +347,9 @@ class PosedBankDevice:
         self._stale = True
         self._hold(codes, slots, frames["kind"])
         for kind in self._kinds:
-            if not kind.clouds:
+            if kind.clouds:
+                kind.last = self._call
+            elif self._call - kind.last > _LINGERS:
                 kind.rest = None
 
     def _take_rows(self, count: int) -> F32:

@@ -50,7 +50,7 @@ from gn0.people.reach import (
     Y,
 )
 from gn0.people.route import BRAKE, I64
-from gn0.people.shown_poses import BLEND, find_turns, frame_of, turn_people
+from gn0.people.shown_poses import BLEND, frame_of, kind_of, turn_people
 from gn0.render.cpu_posed import PosedPacked
 from gn0.seeds import derive_seed
 
@@ -282,10 +282,12 @@ def turn_all_shown(wanted: Sequence[tuple[Actor, Shown]]) -> tuple[F64, F64]:
             before[n] = len(frames)
             library, speed = actor.library(shown.seat), SPEEDS[shown.speed]
             frames.append(frame_of(library, shown.other, shown.other_frame, speed))
-    columns = [np.array(column) for column in zip(*(shown for _, shown in wanted), strict=True)]
-    of = dict(zip(Shown._fields, columns, strict=True))
-    turns = find_turns(
-        of["clip"], of["frame"], before != now, of["quarter"], of["look"], of["early"], of["stood"]
-    )
+    looks = np.array([_numbers(shown) for _, shown in wanted])
     joints = np.stack([actor.levels[0].joints for actor, _ in wanted])
-    return turn_people(np.stack(frames), now, before, turns, joints)
+    return turn_people(np.stack(frames), now, before, looks, joints)
+
+
+def _numbers(shown: Shown) -> tuple[int, ...]:
+    """As `turn_people` takes them."""
+    kind, blends = kind_of(shown.clip), int(bool(shown.other))
+    return kind, shown.frame, blends, shown.quarter, shown.look, shown.early, shown.stood

@@ -15,18 +15,17 @@ from gn0.avatars.code_map import I64, U64
 from gn0.avatars.held import HELD
 from gn0.avatars.kept_rows import KeptRows
 from gn0.avatars.motion.gait import SPEEDS
-from gn0.avatars.motion.library import BY_SPEED, PIVOTS, SETTLES
+from gn0.avatars.motion.library import BY_SPEED
 from gn0.geometry import F32, F64
 from gn0.people.cast import Cast
 from gn0.people.shown import STOOD, PoseShown, Shown, rest_key
-from gn0.people.shown_poses import BLEND, FRAME_WIDTH, find_turns, frame_of, ready_people
+from gn0.people.shown_poses import BLEND, FRAME_WIDTH, KINDS, frame_of, ready_people
 from gn0.render.cuda.posed import RestDevice
 
 _NONE = 63  # no clip
 _BITS = (16, 2, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
 _LEVEL = np.uint64((1 << _BITS[1]) - 1 << _BITS[0])
 _ROLES, _GAITS, _FRAMES = 1 << _BITS[0], 1 << _BITS[4], 1 << _BITS[3]
-_BY_NUMBER = ("walk", *PIVOTS, *SETTLES)  # clips whose numbers `shown.cu` knows
 _KEPT = 2**15  # frames of clips, 3.3 kB each; memory that nobody wrote to is none
 _TOGETHER = 2**13  # people whose frames, two each, are there at once
 
@@ -57,8 +56,9 @@ class ShownCodes:
         self._cast = cast
         self._roles: dict[tuple[str, float], int] = {}
         self._whom: list[tuple[str, float]] = []
-        self._clips = {clip: number for number, clip in enumerate(_BY_NUMBER)}
-        self._names = list(_BY_NUMBER)
+        # `shown.cu` knows the numbers of the first
+        self._clips = {clip: number for number, clip in enumerate(KINDS)}
+        self._names = list(KINDS)
         self._kept = KeptRows((np.float64, (FRAME_WIDTH,)), _KEPT)
         self._joints: list[F64] = []  # of roles at rest
         self._bodies: F64 | None = None
@@ -145,14 +145,13 @@ class ShownCodes:
             np.concatenate([one.gait, one.gait]),
             np.concatenate([one.frame, frame]),
         ).reshape(2, -1)
-        turns = find_turns(
-            np.array(self._names)[one.clip],
-            *(one.frame, one.blends, one.quarter, one.look, one.early, one.stood),
-        )
+        kind = np.minimum(one.clip, len(KINDS))
+        head = one.look, one.early, one.stood
+        looks = np.stack([kind, one.frame, one.blends, one.quarter, *head], axis=1)
         if self._bodies is None:
             self._bodies = np.stack(self._joints)
         bodies, chosen = self._bodies, which.astype(np.int64)
-        people = self._kept.rows, now, before, turns, bodies, one.role
+        people = self._kept.rows, now, before, looks, bodies, one.role
         return ready_people(*people, rests, chosen, rows, at)
 
     def _frames(self, role: I64, clip: I64, gait: I64, frame: I64) -> I64:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,44 +32,17 @@ _SHIFT = _POSE + 3 * JOINT_COUNT
 FRAME_WIDTH = _SHIFT + 3
 _SHARES = np.array([float(ease(np.asarray(quarter / BLEND))) for quarter in range(BLEND + 1)])
 _YAWS = np.array([math.radians(look) for look in LOOKS])
+# whole numbers of each person: kind of its clip, frame, whether another clip blends in, and what
+# `Shown` says of the blend and of the head
+_KIND, _FRAME, _BLENDS, _QUARTER, _LOOK, _EARLY, _STOOD = range(7)
+KINDS = ("walk", *PIVOTS, *SETTLES)
+_LEFT = 1, 3  # of those
 I64 = NDArray[np.int64]
 
 
-class Turns(NamedTuple):
-    """How frames become poses, one row for each person.
-
-    Attributes:
-        blends: whether it goes over from another clip.
-        share: of the way that it has gone.
-        steps: early, stops, stood and turned, as of `stepping.Steps` [n, 4].
-        yaw: of its head [rad].
-    """
-
-    blends: NDArray[np.bool_]
-    share: F64
-    steps: F64
-    yaw: F64
-
-
-def find_turns(
-    clips: NDArray[np.str_] | Sequence[str],
-    frames: I64,
-    blends: NDArray[np.bool_],
-    quarters: I64,
-    looks: I64,
-    early: I64,
-    stood: I64,
-) -> Turns:
-    """Turns of people, from columns of `Shown` [n]; `blends` is whether there is another clip."""
-    names = np.asarray(clips)
-    # feet of a walk stay behind while its body turns on them
-    pivots, settles = np.isin(names, PIVOTS), np.isin(names, SETTLES)
-    left = (names == PIVOTS[0]) | (names == SETTLES[0])
-    row = np.where(settles, frames // SETTLE_ROWS, np.where(pivots, frames, 0))
-    turned = np.where(left, 1, -1) * row * PIVOT / PIVOT_ROWS
-    stops = names != "walk"
-    steps = np.stack([early, stops, 1e-3 * stood, np.where(stops, turned, 0.0)], axis=1)
-    return Turns(blends, _SHARES[quarters], steps.astype(np.float64), _YAWS[looks])
+def kind_of(clip: str) -> int:
+    """The kind of a clip: its place in `KINDS`, or behind them."""
+    return KINDS.index(clip) if clip in KINDS else len(KINDS)
 
 
 def frame_of(library: ClipLibrary, clip: str, frame: int, speed: float) -> F64:
@@ -91,19 +63,19 @@ def frame_of(library: ClipLibrary, clip: str, frame: int, speed: float) -> F64:
     return np.concatenate([one.flat[row], poses[row].ravel(), shifts[row]])
 
 
-def turn_people(frames: F64, now: I64, before: I64, turns: Turns, joints: F64) -> tuple[F64, F64]:
+def turn_people(frames: F64, now: I64, before: I64, looks: I64, joints: F64) -> tuple[F64, F64]:
     """Poses [n, 55, 3] rad and shifts [n, 3] m of people.
 
     Args:
         frames: of clips [F, `FRAME_WIDTH`].
         now: what each does, of those [n].
         before: what each did, of those [n].
-        turns: how these become poses.
+        looks: kind, frame, blends, quarter, look, early, stood of each [n, 7]; see `Shown`.
         joints: of each at rest [n, 55, 3] m.
     """
     count = len(now)
     poses, shifts = np.empty((count, JOINT_COUNT, 3)), np.empty((count, 3))
-    _turn_people(frames, now, before, *turns, joints, poses, shifts)
+    _turn_people(frames, now, before, looks, joints, poses, shifts)
     return poses, shifts
 
 
@@ -111,7 +83,7 @@ def ready_people(
     frames: F64,
     now: I64,
     before: I64,
-    turns: Turns,
+    looks: I64,
     joints: F64,
     whose: I64,
     rests: Sequence[RestDevice],
@@ -125,7 +97,7 @@ def ready_people(
         frames: as of `turn_people`.
         now: likewise.
         before: likewise.
-        turns: likewise.
+        looks: likewise.
         joints: of bodies at rest [B, 55, 3] m.
         whose: of those, for each person [n].
         rests: whom a card has at rest.
@@ -144,7 +116,7 @@ def ready_people(
     boxes, fine = np.empty((count, 7), np.float32), np.empty(count, np.bool_)
     shapes = shapes_of(rests)
     _ready_people(
-        *(frames, now, before, *turns, joints, whose, *shapes, which, rows, at, boxes, fine)
+        *(frames, now, before, looks, joints, whose, *shapes, which, rows, at, boxes, fine)
     )
     if not fine.all():
         raise DataError("a pose is not finite", where=f"pose {int(np.flatnonzero(~fine)[0])}")
@@ -152,11 +124,15 @@ def ready_people(
 
 
 @njit
-def _turn_one(now, before, blends, share, steps, yaw, joints, pose, shift):  # type: ignore[no-untyped-def]
-    if blends:
+def _turn_one(now, before, look, joints, pose, shift):  # type: ignore[no-untyped-def]
+    if look[_BLENDS]:
+        kind, row, turned = look[_KIND], look[_FRAME], 0.0
+        if 1 <= kind < len(KINDS):  # feet of a walk stay behind while its body turns on them
+            row = row // SETTLE_ROWS if kind > len(PIVOTS) else row
+            turned = (1.0 if kind in _LEFT else -1.0) * row * PIVOT / PIVOT_ROWS
         first, second = before[:_POSE].copy(), now[:_POSE].copy()
-        early, stops = int(steps[0]), steps[1] > 0.0
-        step_frames(joints, first, second, share, early, stops, steps[2], steps[3])
+        share, stood = _SHARES[look[_QUARTER]], 1e-3 * look[_STOOD]
+        step_frames(joints, first, second, share, look[_EARLY], kind != 0, stood, turned)
         solve_frame(joints, first, pose, shift)
     else:
         for j in range(JOINT_COUNT):
@@ -164,20 +140,20 @@ def _turn_one(now, before, blends, share, steps, yaw, joints, pose, shift):  # t
                 pose[j, a] = now[_POSE + 3 * j + a]
         for a in range(3):
             shift[a] = now[_SHIFT + a]
-    if yaw != 0.0:
-        look_aside(pose, yaw)
+    if _YAWS[look[_LOOK]] != 0.0:
+        look_aside(pose, _YAWS[look[_LOOK]])
 
 
 @njit
-def _turn_people(frames, now, before, blends, share, steps, yaw, joints, poses, shifts):  # type: ignore[no-untyped-def]
+def _turn_people(frames, now, before, looks, joints, poses, shifts):  # type: ignore[no-untyped-def]
     for n in range(now.shape[0]):
         one, other = frames[now[n]], frames[before[n]]
-        _turn_one(one, other, blends[n], share[n], steps[n], yaw[n], joints[n], poses[n], shifts[n])
+        _turn_one(one, other, looks[n], joints[n], poses[n], shifts[n])
 
 
 @njit(parallel=True)
 def _ready_people(  # type: ignore[no-untyped-def]
-    frames, now, before, blends, share, steps, yaw, joints, whose, reach, lying, widest, which,
+    frames, now, before, looks, joints, whose, reach, lying, widest, which,
     rows, at, boxes, fine,
 ):  # fmt: skip
     for n in prange(now.shape[0]):
@@ -185,7 +161,7 @@ def _ready_people(  # type: ignore[no-untyped-def]
         placed, floor = np.empty((JOINT_COUNT, 19)), np.empty((SHADOWS, 4), np.float32)
         own, k = joints[whose[n]], which[n]
         one, other = frames[now[n]], frames[before[n]]
-        _turn_one(one, other, blends[n], share[n], steps[n], yaw[n], own, pose, shift)
+        _turn_one(one, other, looks[n], own, pose, shift)
         fine[n] = place_body(own, pose, shift, placed)
         lay_shadow(placed[:, 16:], floor)
         write_pose(placed, floor, reach[k], lying[k], widest[k], rows[at[n]], boxes[n])

@@ -24,8 +24,10 @@ class PartClouds(Sequence[CloudDevice | None]):
     """The clouds of a table by slot; one of people in poses is made when it is asked for."""
 
     def __init__(self, slots: int = 0) -> None:
-        self.others: list[CloudDevice | None] = [None] * slots  # those in arrays once asked for
-        self.rests: list[RestDevice | None] = [None] * slots  # of clouds in arrays
+        # of objects, so that thousands change at once: clouds, those in arrays once they were asked
+        # for, and those at rest of which clouds in arrays are
+        self.others: NDArray[np.object_] = np.full(slots, None, object)
+        self.rests: NDArray[np.object_] = np.full(slots, None, object)
         self.rows = build_clouds([None] * slots).copy()
         self.bounds = bound_all([None] * slots) if slots else np.zeros((0, 7), np.float32)
 
@@ -41,13 +43,14 @@ class PartClouds(Sequence[CloudDevice | None]):
     def __getitem__(self, slot: int | slice) -> CloudDevice | list[CloudDevice | None] | None:
         if isinstance(slot, slice):
             return [self[n] for n in range(*slot.indices(len(self)))]
-        rest = self.rests[slot]
+        rest: RestDevice | None = self.rests[slot]
         if self.others[slot] is None and rest is not None:
             row = self.rows[slot]
             step = float(row["sh_row"].view(np.float32))
             box = self.bounds[slot].copy()
             self.others[slot] = posed_cloud(rest, int(row["splats"]), box, step)
-        return self.others[slot]
+        found: CloudDevice | None = self.others[slot]
+        return found
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -57,8 +60,8 @@ class PartClouds(Sequence[CloudDevice | None]):
     def grow(self, slots: int) -> None:
         """Have so many slots."""
         more = PartClouds(slots - len(self))
-        self.others += more.others
-        self.rests += more.rests
+        self.others = np.concatenate([self.others, more.others])
+        self.rests = np.concatenate([self.rests, more.rests])
         self.rows = np.concatenate([self.rows, more.rows])
         self.bounds = np.concatenate([self.bounds, more.bounds])
 
@@ -134,9 +137,9 @@ class PartTable:
     def put_posed(self, slots: Sequence[int], clouds: PosedClouds) -> None:
         """Put clouds in poses, one at least, into slots that were taken."""
         at, entries = np.asarray(slots), clouds.entries
-        kinds = clouds.rests
-        for slot, which in zip(slots, clouds.which.tolist(), strict=True):
-            self.clouds.rests[slot] = kinds[which]
+        kinds = np.empty(len(clouds.rests), object)
+        kinds[:] = clouds.rests
+        self.clouds.rests[at] = kinds[clouds.which]
         self.clouds.rows[at], self.clouds.bounds[at] = entries, clouds.boxes
         self._normals[at] = entries["splats"]
         self._mark(at)
@@ -146,9 +149,8 @@ class PartTable:
         """Free slots."""
         if not slots:
             return
-        for slot in slots:
-            self.clouds.others[slot] = self.clouds.rests[slot] = None
         at = np.asarray(slots)
+        self.clouds.others[at] = self.clouds.rests[at] = None
         self.clouds.rows[at], self.clouds.bounds[at] = _NONE.rows[0], _NONE.bounds[0]
         self._normals[at] = 0
         self._mark(at)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -110,7 +111,7 @@ class RestDevice:
     widest: float
     labels: CloudLabels | None
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """With padding."""
         return len(self.rest)

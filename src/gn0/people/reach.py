@@ -79,14 +79,15 @@ ROUND_SIN = (0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0)
 
 
 class Pace(NamedTuple):
-    """How long a tick is.
+    """How long a decision holds, and a tick is.
 
     Attributes:
-        seconds: its length [s].
-        cos, sin: of the most that a body turns in it.
-        rate: ticks a second.
+        seconds: that a decision holds [s].
+        cos, sin: of the most that a body turns in them.
+        rate: decisions a second.
         parts: that the way on a path is reckoned in, a thirtieth of a second or less each, so that
             where people come to does not hang on how long ticks are.
+        cuts: ticks that the move of a decision is cut into; 1 in every simulator.
     """
 
     seconds: float
@@ -94,6 +95,7 @@ class Pace(NamedTuple):
     sin: float
     rate: int
     parts: int
+    cuts: int = 1
 
 
 @njit_borrowing(forceinline=True)

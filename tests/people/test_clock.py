@@ -20,9 +20,11 @@ from gn0.people.crowd import (
     place_people,
     step_crowd,
 )
+from gn0.people.person import EpisodePerson
 from gn0.people.plan import PeopleSettings, plan_people
-from gn0.people.reach import BLOCKED_BY, MODE, WAIT, Pace
+from gn0.people.reach import AGENT, BLOCKED_BY, MODE, ON_PATH, SPEED, WAIT, WAY, Pace
 from gn0.people.route import Routes, build_routes
+from gn0.people.walk import NO_WALLS
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 
 CUTS = 3
@@ -54,7 +56,7 @@ def open_crowd(episodes: list[Episode], pace: Pace = PACE) -> tuple[CrowdState, 
 
 def test_the_house_s_pace_is_the_clock_itself() -> None:
     assert find_pace() == PACE == Pace(PACE.seconds, PACE.cos, PACE.sin, 10, 3, cuts=1)
-    assert FINE == PACE._replace(cuts=CUTS)
+    assert PACE._replace(cuts=CUTS) == FINE
     assert find_pace(30, decide_each=True).rate == find_pace(25).rate + 5 == 30
     assert find_pace(25).cuts == find_pace(30, decide_each=True).cuts == 1
     assert find_pace(10, decide_each=True) == PACE
@@ -133,22 +135,19 @@ def in_walls(places: F64, mask: OccupancyGrid) -> int:
 
 
 def test_nobody_is_touched_where_the_agent_moves_within_a_decision(episodes) -> None:
-    """The agent goes ahead between decisions; people let go of a move that would touch it."""
+    """The agent goes for people between decisions, as fast as one follows."""
     state, routes, agent = open_crowd(episodes, FINE)
     scripted = np.zeros(state.route.shape, np.bool_)
     for row, episode in enumerate(episodes):
         scripted[row, : len(episode.people)] = [p.behaviour == "script" for p in episode.people]
     free, mask = NavigationMap(SCENE.grid, BODY.radius), inflate(SCENE.grid, 0.30)
     rng = np.random.default_rng(0)
-    here, stopped, moved = state.route >= 0, 0, 0
+    here, moved = state.route >= 0, 0
     yaw = rng.uniform(-np.pi, np.pi, len(episodes))
     pairs = np.triu_indices(state.route.shape[1], 1)
     for tick in range(900):
-        before = state.whole[:, :, MODE].copy()
         step_crowd(state, routes, WALLS, agent, pace=FINE)
         places = state.real[:, :, :2]
-        ends = (before != 1) & (state.whole[:, :, MODE] == 1) & (tick % CUTS > 0)
-        stopped += int((ends & (state.whole[:, :, BLOCKED_BY] == -1)).sum())
         apart = np.linalg.norm(places[:, pairs[0]] - places[:, pairs[1]], axis=2)
         assert apart[here[:, pairs[0]] & here[:, pairs[1]]].min() >= 0.5
         near = np.linalg.norm(places - agent[:, None, :2], axis=2)
@@ -163,4 +162,27 @@ def test_nobody_is_touched_where_the_agent_moves_within_a_decision(episodes) -> 
             clear = np.linalg.norm(places[row] - to, axis=1)[here[row]].min(initial=9.0) >= 0.5
             if clear and free.is_free(*to):
                 agent[row, :2], moved = to, moved + 1
-    assert stopped > 0 and moved > 1000
+    assert moved > 1000
+
+
+@pytest.mark.parametrize("after", ["end", "back", "loop"])
+@pytest.mark.parametrize("part", range(1, CUTS))
+def test_a_move_is_let_go_of_where_the_agent_comes_in_its_way(after, part) -> None:
+    """It stops within the decision, short of the agent, and is on its path again afterwards."""
+    path = ((0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 0.0))
+    walker = EpisodePerson(number=1, identity="drawn:0:0", path=path, after=after)
+    routes, nobody = build_routes([walker]), np.array([[0.0, 0.0, -1.0]])
+    state = empty_crowd(1, 1, pace=FINE)
+    place_people(state, 0, routes, [0])
+    for _ in range(20 * CUTS + part):
+        step_crowd(state, routes, NO_WALLS, nobody, pace=FINE)
+    x, y = state.real[0, 0, :2]
+    assert 1.0 < x < 2.0 and state.real[0, 0, SPEED] > 0.9
+    for _ in range(CUTS - part):
+        step_crowd(state, routes, NO_WALLS, np.array([[x + 0.51, y, 0.25]]), pace=FINE)
+        assert tuple(state.real[0, 0, :2]) == (x, y) and state.real[0, 0, SPEED] == 0.0
+    assert state.whole[0, 0, BLOCKED_BY] == AGENT and abs(state.real[0, 0, WAY] - x) < 1e-9
+    for _ in range(10 * CUTS):
+        step_crowd(state, routes, NO_WALLS, nobody, pace=FINE)
+    assert state.whole[0, 0, MODE] == ON_PATH and state.real[0, 0, 1] == y
+    assert state.real[0, 0, 0] == pytest.approx(state.real[0, 0, WAY]) and state.real[0, 0, 0] > x

@@ -1,4 +1,4 @@
-"""Ticks finer than the clock by which people decide, as kernels.
+"""Ticks finer than the clock by which people decide: moves in parts, as kernels.
 
 People look, choose and yield once in a tenth of a second, however fine ticks are: a decision is a
 move of that long (`gn0.people.tick`), begun at a moment that all ticks share. Finer ticks cut the
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from gn0.jit import njit_borrowing
+from gn0.jit import njit, njit_borrowing
 from gn0.people.reach import (
     AGENT,
     BLOCKED_BY,
@@ -38,41 +38,28 @@ from gn0.people.reach import (
     is_free,
 )
 from gn0.people.route import SCRIPT
-from gn0.people.tick import tick_people
 
 # columns of a move that ticks cut: parts of it that are over, 0 at a moment of decision; where it
 # ends [m], the unit vector of the heading there, and the distance walked by then [m]
 PART, TO_X, TO_Y, TO_HX, TO_HY, TO_WALKED = range(6)
 PLANS = 6
+MOVED_BY = [X, Y, HX, HY, WALKED]  # what a part of a move changes, in the order of its ends
 
 
-@njit_borrowing
-def cut_people(real, whole, route, walls, routes, wall_arrays, pace, plan, agent, radius, e):
-    """A tick of 1/`pace.cuts` of a decision in episode `e`, in place."""
-    count = real.shape[1]
-    if count == 0:
-        return
-    if plan[e, 0, PART] == 0.0:
-        for p in range(count):
-            plan[e, p, TO_HX], plan[e, p, TO_HY] = real[e, p, HX], real[e, p, HY]
-            plan[e, p, TO_WALKED] = real[e, p, WALKED]
-        tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e)
-        for p in range(count):
-            plan[e, p, TO_X], plan[e, p, TO_Y] = real[e, p, X], real[e, p, Y]
-            real[e, p, X], real[e, p, Y] = real[e, p, X0], real[e, p, Y0]
-            for column, to in ((HX, TO_HX), (HY, TO_HY), (WALKED, TO_WALKED)):
-                was = plan[e, p, to]
-                plan[e, p, to], real[e, p, column] = real[e, p, column], was
-    left = pace.cuts - plan[e, 0, PART]
-    for p in range(count):
-        real[e, p, X0], real[e, p, Y0] = real[e, p, X], real[e, p, Y]
-        r = route[e, p]
-        if r >= 0 and routes.table[r, 5] == SCRIPT:
-            if _agent_is_in_the_way(real, plan, agent, radius, left, e, p):
-                _stop_short(real, whole, routes, plan, e, p, r)
-            else:
-                _go_a_part(real, walls, wall_arrays, plan, left, e, p)
-        plan[e, p, PART] = plan[e, p, PART] + 1.0 if left > 1.0 else 0.0
+@njit
+def do_parts(real, whole, route, walls, routes, wall_arrays, cuts, plan, agent, radius):
+    """Do the next of `cuts` parts of everybody's move, in place; who stays has none."""
+    for e in range(real.shape[0]):
+        for p in range(real.shape[1]):
+            left = cuts - plan[e, p, PART]
+            real[e, p, X0], real[e, p, Y0] = real[e, p, X], real[e, p, Y]
+            r = route[e, p]
+            if r >= 0 and routes.table[r, 5] == SCRIPT:
+                if _agent_is_in_the_way(real, plan, agent, radius, left, e, p):
+                    _stop_short(real, whole, routes, plan, e, p, r)
+                else:
+                    _go_a_part(real, walls, wall_arrays, plan, left, e, p)
+            plan[e, p, PART] = plan[e, p, PART] + 1.0 if left > 1.0 else 0.0
 
 
 @njit_borrowing

@@ -20,7 +20,7 @@ from gn0.geometry import F64
 from gn0.jit import njit, prange
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
-from gn0.people.clock import PLANS, cut_people
+from gn0.people.clock import MOVED_BY, PART, PLANS, do_parts
 from gn0.people.person import RADIUS, WALL_DISTANCE
 from gn0.people.reach import (
     BLOCKED_BY,
@@ -185,12 +185,6 @@ def step_crowd_many(real, whole, route, walls, routes, wall_arrays, pace, agent,
         tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, row)
 
 
-@njit(parallel=True)
-def _cut_crowd(real, whole, route, walls, routes, wall_arrays, pace, plan, agent, radius):  # type: ignore[no-untyped-def]
-    for row in prange(real.shape[0]):
-        cut_people(real, whole, route, walls, routes, wall_arrays, pace, plan, agent, radius, row)
-
-
 def step_crowd(
     state: CrowdState,
     routes: Routes,
@@ -211,13 +205,37 @@ def step_crowd(
         radius: of people's discs [m].
     """
     if pace.cuts > 1:
-        _cut_crowd(
-            *(state.real, state.whole, state.route, state.walls, routes, walls, pace, state.plan),
-            *(agent, radius),
-        )
-        return
+        _do_a_part(state, routes, walls, agent, pace, radius)
+    else:
+        _decide(state, routes, walls, agent, pace, radius)
+
+
+def _decide(
+    state: CrowdState, routes: Routes, walls: Walls, agent: F64, pace: Pace, radius: float
+) -> None:
     arrays = (state.real, state.whole, state.route, state.walls, routes, walls, pace, agent, radius)
     if len(state.real) == 1:
         step_crowd_one(*arrays, 0)
     else:
         step_crowd_many(*arrays)
+
+
+def _do_a_part(
+    state: CrowdState, routes: Routes, walls: Walls, agent: F64, pace: Pace, radius: float
+) -> None:
+    """A tick of a part of a decision's move, which is made first where it is time for one."""
+    real, plan = state.real, state.plan
+    if not plan.size:
+        return
+    rows = np.flatnonzero(plan[:, 0, PART] == 0.0)
+    if len(rows):
+        part = CrowdState(real[rows], state.whole[rows], state.route[rows], state.walls[rows])
+        before = part.real[:, :, MOVED_BY]
+        _decide(part, routes, walls, agent[rows], pace._replace(cuts=1), radius)
+        plan[rows, :, PART + 1 :] = part.real[:, :, MOVED_BY]
+        part.real[:, :, MOVED_BY] = before
+        real[rows], state.whole[rows] = part.real, part.whole
+    do_parts(
+        *(real, state.whole, state.route, state.walls, routes, walls, float(pace.cuts), plan),
+        *(agent, radius),
+    )

@@ -49,6 +49,7 @@ ALIGNED = 0.9  # cosine between heading and way from which one walks
 SIDEWAYS = 0.5  # the same of who goes round
 ROUND_SPEED = 0.6  # m/s at most, going round
 ROUND_SECONDS = 4.1  # s of going round, at which one turns back
+ROUND_MOST = 6.1  # s of it, at which one does though nobody is in the way any more
 NO_WAY_SECONDS = 0.6  # s without any way on, at which one turns back
 PRESS_SECONDS = 1  # s that one stands on one's right of way before one turns back as well
 FIRM = 1 << 40  # claim of those who cannot move: the agent, and who stands or sits

@@ -230,7 +230,7 @@ def turn_back(real, whole, route, routes, pace, agent, radius, e, p, aside):
     whole[e, p, BACK_LEFT] = 0
     way = real[e, p, WAY]
     behind = way if sign > 0 else routes.lines[r, 1] - way
-    if routes.table[r, 4] != 2 and behind <= LEAVE:
+    if routes.table[r, 4] != 2 and behind <= (LEAVE if on_way else 0.0):
         whole[e, p, ASIDE_LEFT] = routes.table[r, 6]  # at its end there is no way back
         return
     whole[e, p, DIRECTION] = -sign

@@ -122,7 +122,7 @@ __device__ __forceinline__ void turn_back(Person &q, const Route &r, const Pace 
   q.side = -q.side;
   q.turned++;
   q.back_left = 0;
-  if (r.after != LOOP && (sign > 0 ? q.way : r.length - q.way) <= LEAVE) {
+  if (r.after != LOOP && (sign > 0 ? q.way : r.length - q.way) <= (on_way ? LEAVE : 0.0)) {
     q.aside_left = r.patience;  // at its end there is no way back
     return;
   }

@@ -98,8 +98,13 @@ class CrowdState:
 
     def copy(self) -> CrowdState:
         """The same in memory of its own."""
-        arrays = (self.real, self.whole, self.route, self.walls, self.plan)
-        return CrowdState(*(array.copy() for array in arrays))
+        return CrowdState(
+            self.real.copy(),
+            self.whole.copy(),
+            self.route.copy(),
+            self.walls.copy(),
+            self.plan.copy(),
+        )
 
 
 def empty_crowd(episodes: int, places: int, *, pace: Pace | None = None) -> CrowdState:

@@ -55,7 +55,7 @@ def assert_same(there, here, device, steps, names) -> int:
 @pytest.mark.small
 def test_people_are_those_of_the_cpu(device, crowded) -> None:
     scenes, episodes = crowded
-    count, steps = (2048, 150) if device.kind == "cuda" else (12, 25)
+    count, steps = (2048, 150) if device.kind == "cuda" else (12, 55)
     settings = {"episodes": episodes, "sensors": ("goal_vector", "ranges", "pose"),
                 "max_steps": 60, "agent": BODY}  # fmt: skip
     there = VectorEnvDevice(count, scenes, device=device, ahead=2, **settings)

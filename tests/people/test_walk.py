@@ -76,12 +76,14 @@ def test_it_stops_for_as_long_as_is_said_and_looks_round() -> None:
 
 
 def test_ticks_of_a_thirtieth_of_a_second_lead_the_same_way() -> None:
-    """Less than 5 cm apart in the first ten seconds."""
+    """Less than 5 cm apart in the first ten seconds, deciding each tick; else not at all."""
     for path in (CORNER.path, ((0, 0), (2, 0.5), (2.5, 2), (1, 3)), ((0, 0), (5, 0))):
         for speed in (0.4, 1.0, 1.6):
             person = walker(*path, speed=speed, stops=CORNER.stops)
             coarse = walk_alone(person, 10)
-            fine = walk_alone(person, 10, ticks_a_second=30)
+            shown = walk_alone(person, 10, ticks_a_second=30)
+            assert shown.place[::3].tobytes() == coarse.place.tobytes()
+            fine = walk_alone(person, 10, ticks_a_second=30, decide_each=True)
             apart = np.linalg.norm(fine.place[::3] - coarse.place, axis=1)
             assert apart.max() < 0.05, (path, speed)
 

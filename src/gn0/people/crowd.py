@@ -10,7 +10,7 @@ people can show and no two ever overlap. Only + − × / and square root decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from gn0.geometry import F64
 from gn0.jit import njit, prange
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
+from gn0.people.clock import MOVED_BY, PART, PLANS, do_parts
 from gn0.people.person import RADIUS, WALL_DISTANCE
 from gn0.people.reach import (
     BLOCKED_BY,
@@ -86,25 +87,35 @@ class CrowdState:
         whole: [E, P, WHOLES] int64: what each is doing.
         route: [E, P] number of the route; −1 where there is nobody.
         walls: [E] number of the scene's walls; −1 where nobody minds walls.
+        plan: [E, P, PLANS] of `gn0.people.clock`: moves that ticks cut; no places where none do.
     """
 
     real: F64
     whole: I64
     route: I64
     walls: I64
+    plan: F64 = field(default_factory=lambda: np.zeros((0, 0, PLANS)))
 
     def copy(self) -> CrowdState:
         """The same in memory of its own."""
-        return CrowdState(self.real.copy(), self.whole.copy(), self.route.copy(), self.walls.copy())
+        return CrowdState(
+            self.real.copy(),
+            self.whole.copy(),
+            self.route.copy(),
+            self.walls.copy(),
+            self.plan.copy(),
+        )
 
 
-def empty_crowd(episodes: int, places: int) -> CrowdState:
-    """Nobody in any of E episodes, with room for P people each."""
+def empty_crowd(episodes: int, places: int, *, pace: Pace | None = None) -> CrowdState:
+    """Nobody in any of E episodes, with room for P people each, who go at a pace."""
+    cuts = pace is not None and pace.cuts > 1
     return CrowdState(
         np.zeros((episodes, places, REALS)),
         np.zeros((episodes, places, WHOLES), np.int64),
         np.full((episodes, places), -1, np.int64),
         np.full(episodes, -1, np.int64),
+        np.zeros((episodes if cuts else 0, places if cuts else 0, PLANS)),
     )
 
 
@@ -119,6 +130,7 @@ def place_people(state: CrowdState, episode: int, routes: Routes, numbers: Seque
     """
     rows = np.asarray(numbers, np.int64)
     place_rows(state.real, state.whole, state.route, routes, episode, rows)
+    state.plan[episode : episode + 1] = 0.0
 
 
 @njit
@@ -140,10 +152,18 @@ def place_rows(real, whole, route, routes, row, numbers):  # type: ignore[no-unt
         whole[row, p, TURN_SINCE] = SETTLE
 
 
-def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:
-    """Lengths of a tick, for the kernels."""
-    if ticks_a_second == TICKS_A_SECOND:  # nine degrees, to the last bit
-        return Pace(0.1, 0.9876883405951378, 0.15643446504023087, 10, 3)
+def find_pace(ticks_a_second: int = TICKS_A_SECOND, *, decide_each: bool = False) -> Pace:
+    """Lengths of decisions and of ticks, for the kernels.
+
+    Args:
+        ticks_a_second: where they are a multiple of ten, people decide once in a tenth of a second
+            and ticks cut their moves; at any other rate they decide each tick.
+        decide_each: at any rate each tick, which is another crowd from its first meeting on.
+    """
+    cuts, rest = divmod(ticks_a_second, TICKS_A_SECOND)
+    if (rest == 0 and not decide_each) or ticks_a_second == TICKS_A_SECOND:
+        # nine degrees, to the last bit
+        return Pace(0.1, 0.9876883405951378, 0.15643446504023087, TICKS_A_SECOND, 3, cuts)
     turn = np.pi / 2 / ticks_a_second
     return Pace(
         1 / ticks_a_second,
@@ -186,11 +206,41 @@ def step_crowd(
         routes: the table that `state.route` counts in.
         walls: the table that `state.walls` counts in.
         agent: [E, 3] x, y [m] and radius [m] of each episode's agent; a negative radius is nobody.
-        pace: length of the tick.
+        pace: length of the tick; the one that `empty_crowd` was told.
         radius: of people's discs [m].
     """
+    if pace.cuts > 1:
+        _do_a_part(state, routes, walls, agent, pace, radius)
+    else:
+        _decide(state, routes, walls, agent, pace, radius)
+
+
+def _decide(
+    state: CrowdState, routes: Routes, walls: Walls, agent: F64, pace: Pace, radius: float
+) -> None:
     arrays = (state.real, state.whole, state.route, state.walls, routes, walls, pace, agent, radius)
     if len(state.real) == 1:
         step_crowd_one(*arrays, 0)
     else:
         step_crowd_many(*arrays)
+
+
+def _do_a_part(
+    state: CrowdState, routes: Routes, walls: Walls, agent: F64, pace: Pace, radius: float
+) -> None:
+    """A tick of a part of a decision's move, which is made first where it is time for one."""
+    real, plan = state.real, state.plan
+    if not plan.size:
+        return
+    rows = np.flatnonzero(plan[:, 0, PART] == 0.0)
+    if len(rows):
+        part = CrowdState(real[rows], state.whole[rows], state.route[rows], state.walls[rows])
+        before = part.real[:, :, MOVED_BY]
+        _decide(part, routes, walls, agent[rows], pace._replace(cuts=1), radius)
+        plan[rows, :, PART + 1 :] = part.real[:, :, MOVED_BY]
+        part.real[:, :, MOVED_BY] = before
+        real[rows], state.whole[rows] = part.real, part.whole
+    do_parts(
+        *(real, state.whole, state.route, state.walls, routes, walls, float(pace.cuts), plan),
+        *(agent, radius),
+    )

@@ -8,6 +8,7 @@ import math
 
 from gn0.jit import njit_borrowing
 from gn0.people.reach import (
+    AGENT,
     ASIDE_LEFT,
     BACK_LEFT,
     BACK_SECONDS,
@@ -22,6 +23,7 @@ from gn0.people.reach import (
     HOME,
     HX,
     HY,
+    LEAVE,
     LENT_LEFT,
     MODE,
     NO_WAY_SECONDS,
@@ -34,6 +36,7 @@ from gn0.people.reach import (
     ROOM,
     ROUND_COS,
     ROUND_COS20,
+    ROUND_MOST,
     ROUND_SECONDS,
     ROUND_SIN,
     ROUND_SIN20,
@@ -226,8 +229,9 @@ def turn_back(real, whole, route, routes, pace, agent, radius, e, p, aside):
     whole[e, p, TURNED] += 1
     whole[e, p, BACK_LEFT] = 0
     way = real[e, p, WAY]
-    if routes.table[r, 4] != 2 and (way <= 0.0 if sign > 0 else way >= routes.lines[r, 1]):
-        whole[e, p, ASIDE_LEFT] = routes.table[r, 6]  # at its very end there is no way back
+    behind = way if sign > 0 else routes.lines[r, 1] - way
+    if routes.table[r, 4] != 2 and behind <= (LEAVE if on_way else 0.0):
+        whole[e, p, ASIDE_LEFT] = routes.table[r, 6]  # at its end there is no way back
         return
     whole[e, p, DIRECTION] = -sign
     if sign > 0 and routes.table[r, 4] != 1:
@@ -249,14 +253,19 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         elif sign < 0 and real[e, p, WAY] <= 0.0:
             real[e, p, WAY] = length
             whole[e, p, PIECE] = routes.table[r, 1] - routes.table[r, 0] - 2
-    if (
-        whole[e, p, ROUND_TICKS] >= ROUND_SECONDS * pace.rate
-        or whole[e, p, WAIT] >= NO_WAY_SECONDS * pace.rate
-    ):
-        _, aside, _ = nearest_way(
-            routes, r, real[e, p, WAY], whole[e, p, PIECE], whole[e, p, DIRECTION], x, y
-        )
-        turn_back(real, whole, route, routes, pace, agent, radius, e, p, aside)
+    late = whole[e, p, ROUND_TICKS] >= ROUND_SECONDS * pace.rate
+    shut = whole[e, p, WAIT] >= NO_WAY_SECONDS * pace.rate
+    if late or shut:
+        sign = whole[e, p, DIRECTION]
+        way, aside, piece = nearest_way(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
+        who = AGENT
+        if not shut and whole[e, p, ROUND_TICKS] < ROUND_MOST * pace.rate:
+            near = find_near(real, route, agent, radius, e, p, 1.0)
+            _, who = room_ahead(
+                real, route, routes, agent, radius, e, p, way, piece, sign, 0.6, near
+            )
+        if who != NOBODY:  # else they who were in the way are gone
+            turn_back(real, whole, route, routes, pace, agent, radius, e, p, aside)
     sign, side = whole[e, p, DIRECTION], whole[e, p, SIDE]
     way, aside, piece = nearest_way(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
     mx, my, _, _, _ = place_at(routes, r, way, piece)
@@ -338,9 +347,8 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         if ok:
             best, bx, by = score, ux, uy
     if best < -1e29:
-        whole[e, p, WAIT] += 1
+        whole[e, p, WAIT] += 1  # and stand as one stands: who waits does not turn to and fro
         real[e, p, SPEED] = 0.0
-        turn_to(real, pace, e, p, dx, dy, pace.seconds)
         return
     if turn_to(real, pace, e, p, bx, by, pace.seconds) < SIDEWAYS:
         real[e, p, SPEED] = 0.0

@@ -49,6 +49,7 @@ ALIGNED = 0.9  # cosine between heading and way from which one walks
 SIDEWAYS = 0.5  # the same of who goes round
 ROUND_SPEED = 0.6  # m/s at most, going round
 ROUND_SECONDS = 4.1  # s of going round, at which one turns back
+ROUND_MOST = 6.1  # s of it, at which one does though nobody is in the way any more
 NO_WAY_SECONDS = 0.6  # s without any way on, at which one turns back
 PRESS_SECONDS = 1  # s that one stands on one's right of way before one turns back as well
 FIRM = 1 << 40  # claim of those who cannot move: the agent, and who stands or sits
@@ -79,14 +80,15 @@ ROUND_SIN = (0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0)
 
 
 class Pace(NamedTuple):
-    """How long a tick is.
+    """How long a decision holds, and a tick is.
 
     Attributes:
-        seconds: its length [s].
-        cos, sin: of the most that a body turns in it.
-        rate: ticks a second.
+        seconds: that a decision holds [s].
+        cos, sin: of the most that a body turns in them.
+        rate: decisions a second.
         parts: that the way on a path is reckoned in, a thirtieth of a second or less each, so that
             where people come to does not hang on how long ticks are.
+        cuts: ticks that the move of a decision is cut into; 1 in every simulator.
     """
 
     seconds: float
@@ -94,6 +96,7 @@ class Pace(NamedTuple):
     sin: float
     rate: int
     parts: int
+    cuts: int = 1
 
 
 @njit_borrowing(forceinline=True)

@@ -53,7 +53,11 @@ class WalkTrack:
 
 
 def walk_alone(
-    person: EpisodePerson, seconds: float, *, ticks_a_second: int = TICKS_A_SECOND
+    person: EpisodePerson,
+    seconds: float,
+    *,
+    ticks_a_second: int = TICKS_A_SECOND,
+    decide_each: bool = False,
 ) -> WalkTrack:
     """How a person moves with nobody in its way: what a simulator plays.
 
@@ -63,10 +67,11 @@ def walk_alone(
         person: who, and where it goes.
         seconds: how long, rounded to ticks.
         ticks_a_second: 10; others where ticks themselves are examined.
+        decide_each: whether it decides each tick, and not each tenth of a second; see `find_pace`.
     """
     count = max(round(seconds * ticks_a_second), 0) + 1
-    routes, pace = build_routes([person], ticks_a_second), find_pace(ticks_a_second)
-    state = empty_crowd(1, 1)
+    pace = find_pace(ticks_a_second, decide_each=decide_each)
+    routes, state = build_routes([person], pace.rate), empty_crowd(1, 1, pace=pace)
     place_people(state, 0, routes, [0])
     real = np.empty((count, state.real.shape[2]))
     whole = np.empty((count, state.whole.shape[2]), np.int64)

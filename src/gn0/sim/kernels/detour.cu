@@ -122,8 +122,8 @@ __device__ __forceinline__ void turn_back(Person &q, const Route &r, const Pace 
   q.side = -q.side;
   q.turned++;
   q.back_left = 0;
-  if (r.after != LOOP && (sign > 0 ? q.way <= 0.0 : q.way >= r.length)) {
-    q.aside_left = r.patience;  // at its very end there is no way back
+  if (r.after != LOOP && (sign > 0 ? q.way : r.length - q.way) <= (on_way ? LEAVE : 0.0)) {
+    q.aside_left = r.patience;  // at its end there is no way back
     return;
   }
   q.direction = -sign;
@@ -173,12 +173,18 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
   }
   double aside, way;
   int piece;
-  bool gives_up = q.round_ticks >= ROUND_SECONDS * pace.rate ||
-                  q.wait >= NO_WAY_SECONDS * pace.rate;
+  bool shut = q.wait >= NO_WAY_SECONDS * pace.rate;
+  bool gives_up = q.round_ticks >= ROUND_SECONDS * pace.rate || shut;
 #pragma unroll 1
   while (true) {
     way = nearest_way(r, q.way, q.piece, q.direction, x, y, aside, piece);
     if (!gives_up) break;
+    if (!shut && q.round_ticks < ROUND_MOST * pace.rate) {
+      int ahead;
+      a.near = find_near(a, x, y, 1.0);
+      room_ahead(a, r, way, piece, q.direction, 0.6, ahead);
+      if (ahead == NOBODY) break;  // they who were in the way are gone
+    }
     turn_back(q, r, pace, a, aside);
     gives_up = false;
   }
@@ -273,9 +279,8 @@ __device__ __noinline__ void do_chosen(Person &q, const Episode &e, const Pace &
   if (t.kind == PLACES) {
     make_room(q, pace, a, t, found);
   } else if (found < 0) {
-    q.wait++;
+    q.wait++;  // and stand as one stands: who waits does not turn to and fro
     q.speed = 0.0;
-    turn_to(q, pace, t.ux, t.uy, pace.seconds);
   } else {
     double cos, bx, by;
     turn_by_20(t, found, cos, bx, by);

@@ -13,6 +13,7 @@
 #define SIDEWAYS 0.5
 #define ROUND_SPEED 0.6
 #define ROUND_SECONDS 4.1
+#define ROUND_MOST 6.1
 #define NO_WAY_SECONDS 0.6
 #define PRESS_SECONDS 1
 #define BACK_SECONDS 5

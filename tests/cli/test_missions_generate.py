@@ -77,7 +77,7 @@ def test_generate_show_and_compare(
     command = ["missions", "generate", str(home), "--per-scene", "4", "--minimum-length", "2.5"]
     assert main([*command, "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "4 of 4 paths in 1 scenes, 12 episodes" in said and "candidates:" in said
+    assert "4 of 4 paths in 1 scene, 12 episodes" in said and "candidates:" in said
     assert main([*command, "--seed", "1", "--out", str(out)]) == 2
     assert "differs in seed" in capsys.readouterr().err
     run = tmp_path / "run"

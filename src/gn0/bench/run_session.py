@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from gn0.bench.executors import EpisodePool
 from gn0.bench.results import PolicyCard
 from gn0.bench.worker_messages import Ready, Refused
+from gn0.counted import counted
 from gn0.errors import ConfigError
 
 NAME_LIMIT = 80  # characters
@@ -67,7 +68,7 @@ def tell_earlier(
     lines = [f"{there}, done{of}"] if kept else []
     if failed:
         lines.append(
-            f"{failed} {'episode' if failed == 1 else 'episodes'} failed{of} and will be tried "
+            f"{counted(failed, 'episode')} failed{of} and will be tried "
             "again; --keep-failed leaves them as they are"
         )
     return lines

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -182,7 +183,10 @@ def _show_set(args: Args) -> int:
     found = load_set(args.path)
     tasks = [task for task in found.tasks if not args.episode or task.id == args.episode]
     told = summarise(tasks)
-    print(f"{found.format}, {found.name}: {told.episodes} episodes in {told.scenes} scenes")
+    print(
+        f"{found.format}, {found.name}: {counted(told.episodes, 'episode')} in "
+        f"{counted(told.scenes, 'scene')}"
+    )
     for name, values, unit in (
         ("reference path", told.path_length, "m"),
         ("start to goal, straight", told.straight, "m"),

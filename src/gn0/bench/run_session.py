@@ -46,13 +46,14 @@ def check_name(name: str) -> str:
 
 
 def tell_earlier(
-    kept: int, kept_failed: int, expected: int, failed: int, begun: str, ended: str
+    kept: int, kept_failed: int, invalid: int, expected: int, failed: int, begun: str, ended: str
 ) -> list[str]:
     """What an earlier run left, and what is made of it, in sentences.
 
     Args:
         kept: episodes whose results are kept.
         kept_failed: how many of those failed.
+        invalid: how many of those could not be scored.
         expected: episodes asked for.
         failed: episodes that failed in it and are tried again.
         begun: when it began; "" when not known.
@@ -61,6 +62,11 @@ def tell_earlier(
     there = f"{kept} of {expected} episodes were there already"
     if kept == expected:
         bad = f"; {kept_failed} of them failed and are kept so" if kept_failed else ""
+        if invalid:
+            many = "is" if invalid == 1 else "are"
+            bad += (
+                f"; {invalid} of them {many} invalid: if the cause is gone, --fresh runs all again"
+            )
         return [
             f"{there}{f', finished {tell_clock(ended)}' if ended else ''}; nothing was run{bad}"
         ]

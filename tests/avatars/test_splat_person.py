@@ -119,7 +119,7 @@ def test_a_file_of_something_else_is_told_what_a_person_is(
     tmp_path: Path, name: str, data: bytes
 ) -> None:
     (tmp_path / name).write_bytes(data)
-    with pytest.raises(FormatError, match="is no person that is read") as caught:
+    with pytest.raises(FormatError, match="is not a person that can be read") as caught:
         load_splat_person(tmp_path / name)
     assert "binding.npz" in caught.value.remedy and "skin" in caught.value.remedy
     assert name in str(caught.value)

@@ -86,7 +86,7 @@ def _load_splats(file: Path) -> CloudFile:
     except FormatError as error:
         if file.suffix.lower() in _SPLATS:
             raise
-        what = f"is no person that is read: {error.what}"
+        what = f"is not a person that can be read: {error.what}"
         raise FormatError(what, file=file, remedy=_PERSON) from None
 
 

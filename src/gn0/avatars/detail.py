@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gn0.avatars.avatar import Avatar
+from gn0.avatars.layer import PARTS
 from gn0.avatars.skeleton import INDEX, JOINTS
 from gn0.avatars.skinning import pack_weights, pose_joints, skin_points, unskin_points
-from gn0.avatars.surfels import blended_turns
+from gn0.avatars.surfels import STRANDS, blended_turns
 from gn0.errors import ConfigError
 from gn0.gaussians.film import decode_srgb, encode_srgb
 from gn0.gaussians.morton import morton_codes
@@ -34,6 +35,7 @@ _NEAR = 24  # neighbours whose sizes are much the same
 _DENSE = 0.55  # of the distance of the sixth neighbour, which is 0.76 of the mean distance
 _WIDEST = 1.5  # standard deviation of what is seen at most, in how close others lie
 _INNER = 0.01  # of a lining's mass that counts
+_STRANDS = [PARTS.index(name) for name in STRANDS]  # they lie over each other: none is a lining
 _APART = 1e3  # grains between parts: they never mix
 _SPREAD = (1.0, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
 _HANG = 1.15  # of arms in the pose in which splats are merged [rad]
@@ -139,7 +141,7 @@ def _find_linings(points: F64, area: F64, part: NDArray[np.int32]) -> NDArray[np
         part: of each [N].
     """
     found: NDArray[np.bool_] = area > (_WIDEST * _even_sizes(points, part)) ** 2
-    return found
+    return found & ~np.isin(part, _STRANDS)
 
 
 def _usual_pose() -> F64:

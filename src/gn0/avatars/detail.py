@@ -25,9 +25,9 @@ from gn0.gaussians.morton import morton_codes
 from gn0.geometry import F64, quaternion_from_rotation, rotation_from_quaternion
 from gn0.jit import njit, prange
 
-SHARES = (1.0, 1 / 3, 1 / 12, 1 / 40)  # of all splats that each level has
-REACH_PX = (0.0, 0.95, 0.95, 0.95)  # mean distance of neighbours where a level begins [px]
-GRAIN = (0.0086, 0.0150, 0.0300, 0.0550)  # that distance [m]
+SHARES = (1.0, 1 / 4, 1 / 12, 1 / 40)  # of all splats that each level has
+REACH_PX = (0.0, 1.1, 0.95, 0.95)  # mean distance of neighbours where a level begins [px]
+GRAIN = (0.0086, 0.0173, 0.0300, 0.0550)  # that distance [m]
 _ROUNDS = 4  # of moving middles and sharing out again
 _FINE = 0.7  # how much of an avatar's own fineness, as on a face, its levels give up: 1 all
 _FACING, _LOOK = 1.0, 2.0  # grains that a turn of a radian, and a whole step of colour, are worth
@@ -66,7 +66,7 @@ def build_levels(avatar: Avatar) -> tuple[Avatar, ...]:
 def choose_level(distance: float, focal: float) -> int:
     """Level of detail of a person `distance` [m] away in a picture of focal length `focal` [px].
 
-    Numbers are those of `build_levels`: the coarsest whose splats stay under a pixel apart.
+    Numbers are those of `build_levels`: the coarsest whose splats stay about a pixel apart.
     """
     level = 0
     for number in range(1, len(SHARES)):

@@ -140,7 +140,7 @@ def main(wanted: list[str]) -> None:
     people = build(set().union(*(pages[word][1] for word in chosen)))
     for word in chosen:
         name, _, draw = pages[word]
-        draw(people).save(PICTURES / f"{name}.jpg", quality=85, optimize=True)
+        draw(people).save(PICTURES / f"{name}.jpg", quality=84, optimize=True)
 
 
 if __name__ == "__main__":

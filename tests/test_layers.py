@@ -22,7 +22,7 @@ FLOORS = {
     "errors": 0, "paper": 0, "geometry": 0, "config": 0, "storage": 0, "seeds": 0,
     "locked_folder": 0, "plugins": 0, "progress": 0, "jit": 0, "kernel_key": 0, "cache": 0,
     "yaml_file": 0, "leftovers": 0, "version": 0, "loopback": 0, "namespace": 0,
-    "remote": 0,
+    "remote": 0, "counted": 0,
     "gaussians": 1, "maps": 1, "jobs": 1, "device": 1,
     "scenes": 2, "render": 2,
     "avatars": 2.5,  # people are made from surfaces, as scenes are; no renderer is known to them

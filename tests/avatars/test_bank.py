@@ -121,5 +121,5 @@ def test_the_command_line_makes_shows_and_checks(
     assert main(["avatar", "show", out, "--name", "p0001", "--out", str(picture)]) == 0
     assert picture.read_bytes()[:4] == b"\x89PNG" and "hair_colour" in capsys.readouterr().out
     assert main(["avatar", "check", out, "--name", "p0001"]) in (0, 1)
-    assert "1 avatars" in capsys.readouterr().out
+    assert "1 avatar:" in capsys.readouterr().out
     assert main(["avatar", "show", str(tmp_path / "none"), "--out", str(picture)]) == 2

@@ -238,3 +238,18 @@ def test_a_goal_run_that_shows_people_of_a_bank_says_that_it_needs_it(
     assert run_suite(suite, "oracle", tmp_path / "blind").ok
     nobody = Suite(suite.folder, suite.about, suite.episodes[:1])
     assert run_suite(nobody, policy, tmp_path / "nobody", **options).ok
+
+
+def test_a_report_tells_of_people_who_are_built_and_of_frames(
+    oracle: Path, small: Suite, tmp_path: Path
+) -> None:
+    told: list[tuple[str, int, int]] = []
+    write_report(
+        oracle, tmp_path / "report.html", videos=2, suite=small,
+        progress=lambda *event: told.append(event),
+    )  # fmt: skip
+    stages = [stage for stage, _, _ in told]
+    clip = stages.index("rendering clips")
+    assert stages[clip + 1 : clip + 4] == ["people of a clip"] * 2 + ["frames of a clip"]
+    frames = [event[1:] for event in told if event[0] == "frames of a clip"]
+    assert frames[0][0] == 0 and frames[-1][0] == frames[-1][1] > 2

@@ -6,16 +6,19 @@ import base64
 import csv
 import html
 import io
+import json
 import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import msgspec
 import numpy as np
 import pytest
 
+from gn0.bench import report_follow
 from gn0.bench.follow_metrics import FOLLOW_METRICS, compute_follow_metrics, score_steps
 from gn0.bench.follow_record import FollowRecord
 from gn0.bench.follow_trace import FollowTrace
@@ -183,11 +186,45 @@ def test_the_report_has_following_beside_the_rest(run: Path) -> None:
         "Following by level", "Following by category",
     ]  # fmt: skip
     assert len(re.findall("<video", text)) == 2
+    assert ">★</span>goal" in text  # one leads to a goal
     table = base64.b64decode(re.findall(r'href="data:text/csv[^,]*,([^"]+)"', text)[0]).decode()
     cells = list(csv.DictReader(io.StringIO(table)))
     ends = {row["episode"]: row["follow_end"] for row in cells}
     assert sorted(ends.values()) == ["", "over", "over", "over"]
     assert {row["success"] for row in cells if row["follow_end"]} == {""}
+
+
+STRIP = """
+(() => {
+  const box = document.querySelector("svg.strip").getBoundingClientRect();
+  const maps = document.querySelector("#follow-table td.map").getBoundingClientRect();
+  const drawn = 10 * box.width / 720;
+  const name = document.querySelector(".following tbody th[scope=row]");
+  return JSON.stringify([drawn, box.left >= maps.left, getComputedStyle(name).whiteSpace]);
+})()
+"""
+
+
+@pytest.mark.skipif(bool(why_no_browser()), reason=why_no_browser())
+def test_the_strip_can_be_read_and_a_policys_name_stays_beside_its_dot(run: Path) -> None:
+    with open_browser(width=1320) as browser:
+        browser.navigate(write_report(run, videos=0).as_uri())
+        browser.wait_for("document.querySelector('footer') && document.readyState === 'complete'")
+        letters, below, wrap = json.loads(str(browser.evaluate(STRIP)))
+    assert letters >= 10.0 and below and wrap == "nowrap"
+
+
+def test_numbers_of_a_turned_map_stand_upright() -> None:
+    turned = """<svg width="200" height="200"><g transform="translate(0 200) rotate(-90)">
+    <text class="second" x="100" y="50">1234</text></g></svg>"""
+    if missing := why_no_browser():
+        pytest.skip(missing)
+    style = (Path(report_follow.__file__).parent / "templates" / "follow.css").read_text()
+    page = f"<!doctype html><style>{style}</style>{turned}"
+    with open_browser(width=400) as browser:
+        browser.navigate(f"data:text/html,{quote(page)}")
+        box = "document.querySelector('text').getBoundingClientRect()"
+        assert browser.evaluate(f"{box}.width / {box}.height") > 1.5  # wider than high
 
 
 def outcomes_of(shapes: Shapes, tag: str) -> list[str | None]:

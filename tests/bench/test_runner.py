@@ -17,10 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from gn0.bench import runner
+from gn0.bench import episode_worker, runner
 from gn0.bench.results import load_results, load_summary
 from gn0.bench.runner import run_suite
-from gn0.errors import BenchError, ConfigError, PolicyError, StorageError
+from gn0.errors import BenchError, ConfigError, EpisodeError, PolicyError, StorageError
 from gn0.locked_folder import lock_folder
 from gn0.storage import Journal
 from gn0.suites.suite import Suite
@@ -272,6 +272,28 @@ def test_another_run_in_the_same_folder_is_refused(
     monkeypatch.syspath_prepend(str(PLUGIN))
     summary = run_odd(flats_suite, out, pause=0.001, max_episodes=3, resume=False)
     assert (summary.expected, summary.valid) == (3, 3)
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_a_run_without_one_scored_episode_stands_in_nobodys_way(
+    flats_suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise EpisodeError("nobody knows 'p0001'")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(episode_worker, "run_episode", refuse)
+        summary = run_odd(flats_suite, tmp_path / "run", max_episodes=2)
+        assert [r.status for r in summary.failed] == ["invalid"] * 2
+        told: list[str] = []
+        run_odd(flats_suite, tmp_path / "run", max_episodes=2, tell=told.append)
+        assert told[0].endswith(
+            "2 of them are invalid: if the cause is gone, --fresh runs all again"
+        )
+    again = run_odd(flats_suite, tmp_path / "run", max_episodes=2, pause=0.001)  # another config
+    assert again.valid == 2
+    with pytest.raises(BenchError, match="another config"):  # and what was scored is kept
+        run_odd(flats_suite, tmp_path / "run", max_episodes=2)
 
 
 def test_two_runs_at_once_in_one_folder_are_refused(flats_suite: Suite, tmp_path: Path) -> None:

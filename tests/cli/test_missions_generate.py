@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from gn0.cli.main import main
 from gn0.cli.missions_generate import Args, read_options, read_settings
+from gn0.cli.missions_show import tell_legend
 from gn0.errors import ConfigError
+from gn0.missions.episode import Episode, MissionFollow, MissionGoal
 from gn0.missions.generate.settings import MissionSettings
+from gn0.people.person import EpisodePerson
 from gn0.scenes.folder import save_scene
 from gn0.testing.scenes import build_room_scene
 
@@ -73,7 +77,7 @@ def test_generate_show_and_compare(
     command = ["missions", "generate", str(home), "--per-scene", "4", "--minimum-length", "2.5"]
     assert main([*command, "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "4 of 4 paths in 1 scenes, 12 episodes" in said and "candidates:" in said
+    assert "4 of 4 paths in 1 scene, 12 episodes" in said and "candidates:" in said
     assert main([*command, "--seed", "1", "--out", str(out)]) == 2
     assert "differs in seed" in capsys.readouterr().err
     run = tmp_path / "run"
@@ -104,3 +108,29 @@ def test_errors_name_what_to_do(home: Path, tmp_path: Path, capsys) -> None:
         assert words in error and "→" in error
     assert main(["missions", "generate", "--out", str(tmp_path / "out")]) == 2
     assert "no scene given" in capsys.readouterr().err
+
+
+def test_a_legend_names_what_is_drawn() -> None:
+    goal = Episode(
+        id="a",
+        scene_id="room",
+        mission=MissionGoal(goal=(3.0, 0.0), object_id="", category="bed", instruction="Go."),
+        start=(0.0, 0.0, 0.0),
+        path=((0.0, 0.0), (3.0, 0.0)),
+    )
+    who = EpisodePerson(number=1, identity="drawn:0:3", path=((1.0, 0.0), (4.0, 0.0)))
+    to_follow = MissionFollow(goal=(4.0, 0.0), instruction="Go.", human="drawn:0:3", person=1)
+    crowd = msgspec.structs.replace(goal, people=(who,))
+    follow = msgspec.structs.replace(crowd, mission=to_follow)
+    more = msgspec.structs.replace(follow, people=(who, msgspec.structs.replace(who, number=2)))
+    plain = "green: start, star: goal, red: not on free cells"
+    assert tell_legend([goal]) == tell_legend([]) == plain
+    assert tell_legend([crowd, goal]) == f"{plain}   ·   grey: people"
+    assert tell_legend([follow]).endswith(
+        "ends, red: not on free cells   ·   purple: the person to follow"
+    )
+    assert tell_legend([follow]).startswith("green: start, star: where the person")
+    assert tell_legend([more, goal]) == (
+        "green: start, star: goal, or where the person to follow ends, red: not on free cells"
+        "   ·   purple: the person to follow, grey: other people"
+    )

@@ -277,7 +277,7 @@ def test_the_verb_exports_checks_and_tells(
     out = tmp_path / "out"
     assert main(["export", "vlnce-r2r", str(dataset), "--out", str(out), "--split", "train"]) == 0
     said = capsys.readouterr().out
-    assert "1 episodes (train 1)" in said and "left out: 2 × not of the split 'train'" in said
+    assert "1 episode (train 1)" in said and "left out: 2 × not of the split 'train'" in said
     assert main(["export", "check", str(out)]) == 0
     assert "no faults" in capsys.readouterr().out
     (out / "train/train_gt.json.gz").unlink()

@@ -186,7 +186,7 @@ def test_a_policy_goes_on_with_prompts_as_long_as_it_knows_them(start, tmp_path,
         assert main(words) == 0
         told, longer = capsys.readouterr().out, name == "longer"
         assert load_policy_settings(tmp_path / name / "policy").text_length == known + 8 * longer
-        assert "left out 1 episodes of more than" in told
+        assert "left out 1 episode of more than" in told
         assert ("it answers worse until" in told) == longer
     assert main(_words(every, tmp_path / "none", *own, *short)) == 2
     told = capsys.readouterr().err

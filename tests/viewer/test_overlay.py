@@ -8,13 +8,14 @@ import pytest
 from PIL import Image
 
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.goal import sample_goal_episodes
+from gn0.people.person import EpisodePerson
 from gn0.render.open import build_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.scene import Scene
-from gn0.viewer.overlay import BLOCKED_PATH, GOAL, PATH, START, render_overlay, render_paths
+from gn0.viewer.overlay import BLOCKED_PATH, GOAL, OTHERS, PATH, START, render_overlay, render_paths
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +36,13 @@ def episode(room: Scene) -> Episode:
 def amount(picture: Image.Image, colour: tuple[int, int, int]) -> int:
     near = np.abs(np.asarray(picture, np.int64) - colour).max(axis=2) < 12
     return int(near.sum())
+
+
+def news(picture: Image.Image, before: Image.Image, colour: tuple[int, int, int]) -> int:
+    """How many pixels have that colour now and had another before; not those of the legend."""
+    now, then = (np.asarray(p, np.int64)[:400] for p in (picture, before))
+    near = np.abs(now - colour).max(axis=2) < 40
+    return int((near & (np.abs(then - colour).max(axis=2) >= 40)).sum())
 
 
 def test_a_good_path_is_blue_from_start_to_goal(
@@ -86,6 +94,25 @@ def test_captions_grow_the_picture_whatever_they_hold(
     assert tall.size[1] > short.size[1] and tall.size[0] == short.size[0]
     many = render_overlay(room, [episode, long], renderer, width=600)
     assert amount(many, PATH) > 100
+
+
+def test_a_page_of_all_shows_people_their_ways_and_where_they_begin(
+    room: Scene, renderer: Renderer, episode: Episode
+) -> None:
+    walker = EpisodePerson(number=1, identity="drawn:0:3", path=((3.4, 2.5), (1.3, 2.5)), speed=0.8)
+    other = msgspec.structs.replace(walker, number=2, path=((3.4, 1.5), (1.3, 1.5)))
+    mission = MissionFollow(
+        goal=(1.3, 2.5), person=1, human="drawn:0:3", instruction="Follow the man."
+    )
+    crowd = msgspec.structs.replace(episode, id="crowd", people=(walker,))
+    follow = msgspec.structs.replace(crowd, mission=mission, people=(walker, other))
+    plain = msgspec.structs.replace(episode, id="plain", start=(6.0, 2.5, 0.0))
+    before = render_overlay(room, [episode, plain], renderer, width=600)
+    grey = render_overlay(room, [crowd, plain], renderer, width=600)
+    # the same path with other people is another line of the page
+    both = render_overlay(room, [crowd, follow, plain], renderer, width=600)
+    assert news(grey, before, OTHERS) > 60 and news(grey, before, GOAL) == 0
+    assert news(both, grey, GOAL) > 60 and news(both, grey, OTHERS) > 60
 
 
 def test_paths_without_a_map() -> None:

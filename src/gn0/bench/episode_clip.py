@@ -22,6 +22,7 @@ from gn0.errors import RenderError
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.missions.episode import Episode
 from gn0.people.person import RADIUS
+from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts
@@ -109,6 +110,7 @@ def render_clip(
     title: str,
     size_limit: int = CLIP_LIMIT,
     most_frames: int = MOST_FRAMES,
+    progress: Progress = no_progress,
 ) -> Clip:
     """A clip of an episode.
 
@@ -120,6 +122,7 @@ def render_clip(
         title: name of the policy.
         size_limit: a larger clip is encoded again at lower quality [bytes].
         most_frames: longer episodes are shown in fewer, evenly spaced frames.
+        progress: told of people who are built and of frames; each may take seconds.
 
     Raises:
         RenderError: no pose was recorded, or the clip does not fit the limit.
@@ -132,13 +135,16 @@ def render_clip(
     if scene.people is None or not episode.people:
         views = render_eyes(scene.renderer, scene.preset, scene.camera_height, poses)
     else:
+        scene.people.cast(episode, progress)
         focal = clip_camera(scene.preset.rgb).fx
         shown = scene.people.play(episode, trace, indices, focal)
-        for pose, people in zip(poses, shown, strict=True):
+        for number, (pose, people) in enumerate(zip(poses, shown, strict=True)):
+            progress("frames of a clip", number, len(poses))
             there.append(people)
             views += render_eyes(
                 scene.renderer, scene.preset, scene.camera_height, [pose], parts=people.parts
             )
+        progress("frames of a clip", len(poses), len(poses))
     backdrop = _MapPainter(scene.bev, episode, np.array(trace.poses)[:, :2])
     touched = {} if isinstance(trace.touches, msgspec.UnsetType) else dict(trace.touches)
     hits = {k: "a person" if k in touched else "an obstacle" for k in trace.collided}

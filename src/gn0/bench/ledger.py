@@ -58,12 +58,18 @@ class Ledger:
         self._episodes = sorted(episodes, key=_id_of)
         self._places = array("q", [_NONE]) * len(self._episodes)
         self._failed = bytearray(len(self._episodes))
+        self._invalid = bytearray(len(self._episodes))
         self.done = 0
 
     @property
     def failed(self) -> int:
         """How many of the results are failures."""
         return sum(self._failed)
+
+    @property
+    def invalid(self) -> int:
+        """How many of the results are of episodes that cannot be scored."""
+        return sum(self._invalid)
 
     def find(self, episode_id: str) -> Episode | None:
         """The episode of that id; None when this run has none."""
@@ -83,6 +89,7 @@ class Ledger:
         self.done += self._places[index] == _NONE
         self._places[index] = place
         self._failed[index] = result.status == "failed"
+        self._invalid[index] = result.status == "invalid"
 
     def _index(self, episode_id: str) -> int | None:
         index = bisect_left(self._episodes, episode_id, key=_id_of)

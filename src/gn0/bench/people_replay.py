@@ -17,6 +17,7 @@ from gn0.missions.follow_rules import follow_rules
 from gn0.people.crowd import CrowdState
 from gn0.people.person import EpisodePerson
 from gn0.people.reach import HX, HY, X, Y
+from gn0.progress import Progress, no_progress
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
 from gn0.render.renderer import DrawnScene
@@ -88,6 +89,17 @@ class PeopleReplay:
     ) -> None:
         self._scene, self._profile = scene, profile
         self.eyes = PeopleEyes(scene, renderer, bank, light)
+
+    def cast(self, episode: Episode, progress: Progress = no_progress) -> None:
+        """Have everybody of an episode ready; who was never built takes seconds.
+
+        Raises:
+            EpisodeError: nobody plays one of them.
+        """
+        for number, person in enumerate(episode.people):
+            progress("people of a clip", number, len(episode.people))
+            self.eyes.cast.find(person.identity)
+        progress("people of a clip", len(episode.people), len(episode.people))
 
     def play(
         self, episode: Episode, trace: EpisodeTrace, indices: Sequence[int], focal: float

@@ -34,6 +34,7 @@ from gn0.bench.run_bank import check_bank
 from gn0.bench.run_settings import HIDDEN, build_settings
 from gn0.bench.runner import run_suite
 from gn0.bench.worker_messages import Open
+from gn0.counted import counted
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.missions.episode import MissionFollow
 from gn0.plugins import SECRETS, describe_error
@@ -118,7 +119,9 @@ class Replay:
         ]
         lines += self.notes
         if self.unscored:
-            lines.append(f"{len(self.unscored)} episodes failed when recorded: nothing to drive")
+            lines.append(
+                f"{counted(len(self.unscored), 'episode')} failed when recorded: nothing to drive"
+            )
         if self.touches:
             lines.append(_tell_touches(self.touches))
         lines += [f"differs at {parting}" for parting in self.partings[:SHOWN]]
@@ -127,7 +130,8 @@ class Replay:
         parted = len({parting.episode for parting in self.partings} - {""})
         differ = f"{parted} differ" + "s" * (parted == 1)
         verdict = "" if self.ok else f"; {differ}" if parted else "; the summary does not"
-        lines.append(f"{self.agreed} episodes agree to the byte{verdict}")
+        agree = "agrees" if self.agreed == 1 else "agree"
+        lines.append(f"{counted(self.agreed, 'episode')} {agree} to the byte{verdict}")
         return "\n".join(lines)
 
 

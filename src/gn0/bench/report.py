@@ -254,7 +254,9 @@ def _render(
                     progress("rendering clips", made, len(wanted))
                     made += 1
                     lit = art.clips(episode.light)
-                    clip = render_clip(lit, episode, result, trace, title=names[number])
+                    clip = render_clip(
+                        lit, episode, result, trace, title=names[number], progress=progress
+                    )
                     spent += len(clip.mp4)
                     row["video"] = data_uri(clip.mp4, "video/mp4")
                     row["poster"] = data_uri(encode_jpeg(clip.poster, 75), "image/jpeg")

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from gn0.bench.executors import EpisodePool
 from gn0.bench.results import PolicyCard
 from gn0.bench.worker_messages import Ready, Refused
+from gn0.counted import counted
 from gn0.errors import ConfigError
 
 NAME_LIMIT = 80  # characters
@@ -45,13 +46,14 @@ def check_name(name: str) -> str:
 
 
 def tell_earlier(
-    kept: int, kept_failed: int, expected: int, failed: int, begun: str, ended: str
+    kept: int, kept_failed: int, invalid: int, expected: int, failed: int, begun: str, ended: str
 ) -> list[str]:
     """What an earlier run left, and what is made of it, in sentences.
 
     Args:
         kept: episodes whose results are kept.
         kept_failed: how many of those failed.
+        invalid: how many of those could not be scored.
         expected: episodes asked for.
         failed: episodes that failed in it and are tried again.
         begun: when it began; "" when not known.
@@ -60,6 +62,11 @@ def tell_earlier(
     there = f"{kept} of {expected} episodes were there already"
     if kept == expected:
         bad = f"; {kept_failed} of them failed and are kept so" if kept_failed else ""
+        if invalid:
+            many = "is" if invalid == 1 else "are"
+            bad += (
+                f"; {invalid} of them {many} invalid: if the cause is gone, --fresh runs all again"
+            )
         return [
             f"{there}{f', finished {tell_clock(ended)}' if ended else ''}; nothing was run{bad}"
         ]
@@ -67,7 +74,7 @@ def tell_earlier(
     lines = [f"{there}, done{of}"] if kept else []
     if failed:
         lines.append(
-            f"{failed} {'episode' if failed == 1 else 'episodes'} failed{of} and will be tried "
+            f"{counted(failed, 'episode')} failed{of} and will be tried "
             "again; --keep-failed leaves them as they are"
         )
     return lines

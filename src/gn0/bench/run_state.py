@@ -145,14 +145,14 @@ class RunState:
         return not self._shows and any(drawn_identity(p.identity) is None for p in people)
 
     def _is_barren(self, others: Sequence[str]) -> bool:
-        """Whether a run that differs in `others` never got anywhere: a server that was down."""
+        """Whether a run that differs in `others` never got anywhere.
+
+        A server was down, or no episode could be scored: people of a bank that was not given.
+        """
         records = (record for _, record in self.journal.scan())
         if others == ["source"] and not self.keep_failed:
             return not any(map(_is_finished, records))
-        return not any(
-            isinstance(record, dict) and record.get("type") in ("result", "broke")
-            for record in records
-        )
+        return all(map(_is_worthless, records))
 
     def _recall(self, record: dict[str, Any], place: int) -> None:
         """Take one line of the journal into account."""
@@ -190,8 +190,8 @@ class RunState:
         if self.ledger.done or self.again:
             begun = str(self.sessions[-1].get("begun", "")) if self.sessions else ""
             expected, failed = len(self.episodes), len(self.again)
-            kept, bad = self.ledger.done, self.ledger.failed
-            for line in tell_earlier(kept, bad, expected, failed, begun, self.ended):
+            kept, bad, invalid = self.ledger.done, self.ledger.failed, self.ledger.invalid
+            for line in tell_earlier(kept, bad, invalid, expected, failed, begun, self.ended):
                 self.tell(line)
 
     def check_card(self, card: PolicyCard) -> None:
@@ -312,6 +312,15 @@ class RunState:
         if not self.ended:
             self.journal.append({"type": "ended", "at": stamp_now()})
         return summary
+
+
+def _is_worthless(record: Any) -> bool:
+    """Whether a line of a journal holds no work: an episode that could not be scored is none."""
+    kind = record.get("type") if isinstance(record, dict) else ""
+    if kind == "result":
+        result = record.get("result")
+        return isinstance(result, dict) and result.get("status") == "invalid"
+    return kind != "broke"
 
 
 def _is_finished(record: Any) -> bool:

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 avatar check out/bank
   gn0 avatar check out/bank --name p0003"""
@@ -46,5 +47,8 @@ def run(args: Args) -> int:
         for finding in findings:
             print(f"{name:<10}{finding.code}: {finding.text}")
     wrong = sum(bool(findings) for findings in found.values())
-    print(f"{len(avatars)} avatars: " + (f"{wrong} to look at" if wrong else "nothing is wrong"))
+    print(
+        f"{counted(len(avatars), 'avatar')}: "
+        + (f"{wrong} to look at" if wrong else "nothing is wrong")
+    )
     return 1 if wrong else 0

@@ -8,6 +8,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite
   gn0 bench suite out/flat --map-mode explored --out out/unknown-flat
@@ -85,9 +86,6 @@ def run(args: Args) -> int:
             overwrite=args.overwrite,
             progress=progress,
         )
-    count = len(args.scenes)
-    print(
-        f"{len(suite.episodes)} episodes in {count} scene{'' if count == 1 else 's'}, "
-        f"written to {args.out}"
-    )
+    episodes, scenes = counted(len(suite.episodes), "episode"), counted(len(args.scenes), "scene")
+    print(f"{episodes} in {scenes}, written to {args.out}")
     return 0

@@ -15,6 +15,7 @@ from typing import Annotated
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 copy out/data s3://bucket/walks
   gn0 copy hf://datasets/lab/flats out/flats
@@ -59,5 +60,5 @@ def run(args: Args) -> int:
             raise storage_error(error, target, "copy") from error
     files = [path for path in source.rglob("*") if path.is_file()] or [source]
     size = sum(path.stat().st_size for path in files)
-    print(f"{len(files):,} files, {size / 1e6:,.1f} MB: {args.target}")
+    print(f"{counted(len(files), 'file')}, {size / 1e6:,.1f} MB: {args.target}")
     return 0

@@ -14,6 +14,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 data build out/suite --out out/data
   gn0 data build out/suite --workers 2 --layout lerobot --out out/data
@@ -152,16 +153,13 @@ def run(args: Args) -> int:
     skipped = [own for part in about.parts for own in part.skipped]
     episodes = len(dataset.sampled)
     print(
-        f"{about.rows} samples of {_count(episodes, 'episode')} in "
-        f"{_count(len(about.scenes), 'scene')}, written to {args.out} in {seconds:.1f} s"
+        f"{counted(about.rows, 'sample')} of {counted(episodes, 'episode')} in "
+        f"{counted(len(about.scenes), 'scene')}, written to {args.out} in {seconds:.1f} s"
     )
     for own in skipped[:5]:
         print(f"skipped {own.id}: {own.reason}")
     if skipped:
-        print(f"{len(skipped)} of {episodes + len(skipped)} episodes skipped; all in dataset.json")
+        asked = counted(episodes + len(skipped), "episode")
+        print(f"{len(skipped)} of {asked} skipped; all in dataset.json")
     print(f"look at it: gn0 data show {args.out} --out {args.out.rstrip('/')}.png")
     return 0
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

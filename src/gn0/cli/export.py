@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 export vlnce-r2r out/data --out out/vlnce
   gn0 export vlnce-r2r out/data --vocabulary R2R/train/train.json.gz --out out/vlnce
@@ -86,7 +87,7 @@ def run(args: Args) -> int:
         done = run_export(source, exporter, args.out, settings, progress=progress)
     splits = ", ".join(f"{split} {count:,}" for split, count in done.splits.items())
     frames = f", {done.frames:,} frames" if done.frames else ""
-    print(f"{done.written:,} episodes ({splits}){frames}: {args.out}")
+    print(f"{counted(done.written, 'episode')} ({splits}){frames}: {args.out}")
     for why, count in done.skipped.items():
         print(f"left out: {count:,} × {why}")
     for what, count in done.notes.items():

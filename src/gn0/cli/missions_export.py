@@ -12,6 +12,7 @@ from typing import Annotated
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 missions export out/suite --format gn-matrix --out episodes.parquet
   gn0 missions export out/suite --format gn-matrix-json --out tasks
@@ -62,5 +63,6 @@ def run(args: Args) -> int:
             lost.update(find_lost(episode, several=SEVERAL[args.format]))
     for what, count in lost.items():
         print(f"note: {count:,} × {what}")
-    print(f"{len(written.tasks)} episodes of {len(written.scenes)} scenes: {args.out}")
+    episodes, scenes = counted(len(written.tasks), "episode"), counted(len(written.scenes), "scene")
+    print(f"{episodes} of {scenes}: {args.out}")
     return 0

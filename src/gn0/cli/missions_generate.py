@@ -17,6 +17,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 if TYPE_CHECKING:
     from gn0.missions.generate.settings import MissionSettings
@@ -261,8 +262,8 @@ def tell(manifest: Manifest, out: Path) -> list[str]:
     missions = ", ".join(f"{n} {name}" for name, n in t.episodes.items())
     splits = ", ".join(f"{n} {name}" for name, n in t.splits.items())
     lines = [
-        f"{t.paths} of {t.asked} paths in {t.scenes} scenes, {sum(t.episodes.values())} episodes: "
-        f"{missions}",
+        f"{t.paths} of {counted(t.asked, 'path')} in {counted(t.scenes, 'scene')}, "
+        f"{counted(sum(t.episodes.values()), 'episode')}: {missions}",
         f"splits: {splits}",
         f"candidates: {t.candidates}; rejected: "
         + (", ".join(f"{n} {name}" for name, n in fell) or "none"),

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 missions import InteriorGS_test_unseen.parquet --scenes scenes --out out/unseen
   gn0 missions import tasks --scenes out/flat out/house --out out/tasks
@@ -75,16 +76,17 @@ def run(args: Args) -> int:
     for check in report.checks:
         print(("" if check.ok else "warning: ") + str(check))
     if report.missing:
-        print(f"{len(report.missing)} scenes of the set are not in --scenes:")
+        print(f"not in --scenes: {counted(len(report.missing), 'scene')} of the set:")
         for scene, count in report.missing.items():
-            print(f"  {scene} ({count} episodes)")
+            print(f"  {scene} ({counted(count, 'episode')})")
     for word, counts in (("left out", report.skipped), ("kept anyway", report.unfit)):
         for reason, count in counts.items():
             print(f"{word}: {count} × {reason}")
     if report.suite is None:
         print("no episode is left; nothing was written")
         return 1
-    print(f"{report.kept} episodes in {len(report.suite.about.scenes)} scenes: {args.out}")
+    scenes = counted(len(report.suite.about.scenes), "scene")
+    print(f"{counted(report.kept, 'episode')} in {scenes}: {args.out}")
     if not args.no_picture:
         from gn0.cli.missions_show import draw_episode
         from gn0.storage import write_atomic

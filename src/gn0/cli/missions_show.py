@@ -7,12 +7,14 @@ scenes are missing, numbers are printed, and its paths are drawn on white.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -77,12 +79,8 @@ def draw_episode(
     chosen = [episode] if episode else [e for e in suite.episodes if e.scene_id == name]
     chosen = [e for e in chosen if not split or e.split == split]
     inside = [scene.grid.is_free(x, y) for e in chosen for x, y in (e.start[:2], *e.path, e.goal)]
-    words = (
-        f"{sum(inside) / max(len(inside), 1):.1%} of {len(inside)} points on free cells   ·   "
-        "green: start, star: goal, red: not on free cells"
-    )
-    if episode is not None and episode.people:
-        words += "   ·   purple: the person to follow, grey: others" * bool(episode.followed)
+    free = f"{sum(inside) / max(len(inside), 1):.1%} of {len(inside)} points on free cells"
+    words = free if coverage else f"{free}   ·   {tell_legend(chosen)}"
     picture = render_overlay(
         scene,
         chosen,
@@ -94,6 +92,18 @@ def draw_episode(
     if episode is not None and isinstance(episode.mission, MissionGoal) and episode.mission.picture:
         return _beside(picture, look_at_goal(suite, scene, episode))
     return picture
+
+
+def tell_legend(episodes: Sequence[Episode]) -> str:
+    """What the colours of episodes drawn together mean."""
+    followed = sum(e.followed is not None for e in episodes)
+    stars = ["goal"] * (followed < len(episodes) or not episodes)
+    stars += ["where the person to follow ends"] * bool(followed)
+    lines = [f"green: start, star: {', or '.join(stars)}, red: not on free cells"]
+    people = ["purple: the person to follow"] * bool(followed)
+    if any(len(e.people) > (e.followed is not None) for e in episodes):
+        people.append("grey: other people" if followed else "grey: people")
+    return "   ·   ".join([*lines, ", ".join(people)] if people else lines)
 
 
 def look_at_goal(suite: Suite, scene: Scene, episode: Episode) -> Image.Image:
@@ -173,7 +183,10 @@ def _show_set(args: Args) -> int:
     found = load_set(args.path)
     tasks = [task for task in found.tasks if not args.episode or task.id == args.episode]
     told = summarise(tasks)
-    print(f"{found.format}, {found.name}: {told.episodes} episodes in {told.scenes} scenes")
+    print(
+        f"{found.format}, {found.name}: {counted(told.episodes, 'episode')} in "
+        f"{counted(told.scenes, 'scene')}"
+    )
     for name, values, unit in (
         ("reference path", told.path_length, "m"),
         ("start to goal, straight", told.straight, "m"),

@@ -15,6 +15,7 @@ import tyro
 
 from gn0.cli.comma_lists import split_words
 from gn0.config import Config
+from gn0.counted import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,7 +111,7 @@ def run(args: Args) -> int:
     print_walks(walks)
     seconds = sum(walk.seconds for walk in walks)
     decisions = sum(walk.decisions for walk in walks)
-    print(f"{decisions} decisions in {seconds:.1f} s")
+    print(f"{counted(decisions, 'decision')} in {seconds:.1f} s")
     print(f"walks: {args.out}/walks.jsonl")
     print("next: gn0 policy study STUDY.yaml FOLDER --out page.md, for walks of several policies")
     return 0

@@ -12,6 +12,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 policy pack out/sft --out release/bae-tiny
   gn0 policy pack out/sft --walks out/sft-walks out/sft-seen --out out/packed --overwrite
@@ -75,7 +76,8 @@ def run(args: Args) -> int:
             default=args.default,
             overwrite=args.overwrite,
         )
-    print(f"{packed.size / 1e6:.1f} MB in {len(packed.files)} files: {', '.join(packed.files)}")
+    files = f"{counted(len(packed.files), 'file')}: {', '.join(packed.files)}"
+    print(f"{packed.size / 1e6:.1f} MB in {files}")
     print(f"written to {args.out}; read its README.md, the model card")
     print(f"next: gn0 policy show {args.out} SUITE --out decision.png")
     return 0

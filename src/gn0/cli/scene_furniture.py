@@ -12,6 +12,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 scene furniture --out out/furniture.png
   gn0 scene furniture seats kitchen/fridge "*/*lamp*" --seed 3 --out out/some.png
@@ -53,5 +54,5 @@ def run(args: Args) -> int:
     with draw_progress() as progress:
         sheet = draw_catalogue(things, seed=args.seed, progress=progress)
     write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
-    print(f"{len(things)} things, written to {out}")
+    print(f"{counted(len(things), 'thing')}, written to {out}")
     return 0

@@ -8,6 +8,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from gn0.counted import counted
 from gn0.data.build import build_dataset
 from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
@@ -169,12 +170,14 @@ def describe_summary(summary: DaggerSummary) -> str:
         lines = _describe_collected(summary, states)
     if summary.following:
         lines.append(
-            f"{summary.following_episodes} episodes are behind a person: in "
+            f"behind a person: {counted(summary.following_episodes, 'episode')}; in "
             f"{summary.followed / summary.following:.1%} of their {summary.following:,} states it "
             f"was within {FOLLOW.reach:g} m"
         )
     if summary.skipped:
-        lines.append(f"{summary.skipped} episodes could not be driven: see dataset.json")
+        lines.append(
+            f"could not be driven: {counted(summary.skipped, 'episode')}, see dataset.json"
+        )
     return "\n".join(lines)
 
 

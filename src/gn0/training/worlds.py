@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypedDict
 
+from gn0.counted import counted
 from gn0.device.device import Device
 from gn0.errors import ConfigError, Gn0Error, TrainingError
 from gn0.missions.episode import Episode
@@ -165,7 +166,7 @@ def open_world(
     maps = (*SQUARE_NAMES, *MAPS)  # whole ones are drawn of the same pictures, by `EgoAtlas`
     sensors = dict.fromkeys("ego_map" if name in maps else name for name in settings.shown)
     suite, folders = lessons.suites[0], lessons.scene_folders
-    say(f"opening {len(folders):,} scenes for {count:,} agents")
+    say(f"opening {counted(len(folders), 'scene')} for {counted(count, 'agent')}")
     env = VectorEnvDevice(
         count,
         folders,
@@ -268,7 +269,8 @@ def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -
             remedy="give others, or teach it longer prompts first (gn0 train dagger --text-length)",
         )
     if len(kept) < len(lessons.episodes):
-        say(f"left out {len(lessons.episodes) - len(kept)} episodes of more than {longest} tokens")
+        left = counted(len(lessons.episodes) - len(kept), "episode")
+        say(f"left out {left} of more than {longest} tokens")
     return replace(lessons, episodes=kept)
 
 

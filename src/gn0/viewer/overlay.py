@@ -46,7 +46,8 @@ def render_overlay(
 
     Args:
         scene: the scene.
-        episodes: one (with start, heading, goal and instruction), or several (thin paths).
+        episodes: one (with start, heading, goal and instruction), or several (thin paths); with
+            the ways of their people and where those begin.
         renderer: a renderer of the scene's splats.
         width: width of the picture [px]; less for a scene that is deeper than wide.
         rooms: draw the outlines of rooms.
@@ -81,7 +82,8 @@ def render_overlay(
             outline = place(np.array(room.polygon))
             pen.line([*outline, outline[0]], fill=(255, 255, 255, 255), width=2 * _SCALE)
     single = len(episodes) == 1
-    distinct = {(e.start, e.path, e.goal): e for e in episodes}.values()  # missions share paths
+    # missions share paths
+    distinct = {(e.start, e.path, e.goal, e.people): e for e in episodes}.values()
     if coverage:
         paths = [np.array([e.start[:2], *e.path, e.goal], np.float64) for e in distinct]
         counts = count_paths(scene.grid, paths)
@@ -130,8 +132,7 @@ def _map_layer(
 
 def _draw_episode(pen: ImageDraw.ImageDraw, scene: Scene, episode: Episode, place, *, bold: bool):  # type: ignore[no-untyped-def]
     thick = (4 if bold else 2) * _SCALE
-    if bold:
-        _draw_people(pen, episode, place)
+    _draw_people(pen, episode, place, 4 if bold else 3)
     end = () if isinstance(episode.mission, MissionFollow) else (episode.goal,)  # it is not gone to
     points = np.array([episode.start[:2], *episode.path, *end], np.float64)
     for a, b in pairwise(points):
@@ -168,17 +169,17 @@ def _draw_episode(pen: ImageDraw.ImageDraw, scene: Scene, episode: Episode, plac
     pen.polygon(star, fill=GOAL, outline=PAPER)
 
 
-def _draw_people(pen: ImageDraw.ImageDraw, episode: Episode, place) -> None:  # type: ignore[no-untyped-def]
+def _draw_people(pen: ImageDraw.ImageDraw, episode: Episode, place, thick: int) -> None:  # type: ignore[no-untyped-def]
     """The ways of people, and their discs where they begin; the one to follow in colour."""
     for person in episode.people:
         colour = GOAL if person == episode.followed else OTHERS
         spots = place(np.array(person.path))
         if len(spots) > 1:
-            pen.line(spots, fill=colour, width=2 * _SCALE)
+            pen.line(spots, fill=colour, width=thick)
         x, y = person.spot
         (x, y), (edge, _) = place(np.array([(x, y), (x + RADIUS, y)]))
         r = edge - x
-        pen.ellipse((x - r, y - r, x + r, y + r), outline=colour, width=2 * _SCALE)
+        pen.ellipse((x - r, y - r, x + r, y + r), outline=colour, width=thick)
 
 
 def _caption(episodes: Sequence[Episode]) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
+from gn0.counted import counted
 from gn0.geometry import Pose2D, view_from_pose
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
@@ -78,8 +79,8 @@ def _title(pen: ImageDraw.ImageDraw, scene: Scene, width: int) -> None:
             f"{len(scene.gaussians):,} splats",
             f"{scene.grid.free_area:.1f} sq m walkable",
             f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} m",
-            _count(len(scene.rooms), "room"),
-            f"{_count(len(scene.objects), 'object')} of {categories} categories",
+            counted(len(scene.rooms), "room"),
+            f"{counted(len(scene.objects), 'object')} of {categories} categories",
         )
     )
     pen.text((width - _GAP, 22), facts, font=font(18), fill=INK, anchor="ra")
@@ -92,10 +93,6 @@ def _title(pen: ImageDraw.ImageDraw, scene: Scene, width: int) -> None:
         fill=MUTED,
         anchor="ra",
     )
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
 def _short(text: str, length: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.errors import DeviceMemoryError, RenderError
+from gn0.errors import DeviceError, DeviceMemoryError, RenderError
 from gn0.geometry import view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
@@ -23,7 +23,7 @@ from gn0.render.instance import Instance
 from gn0.render.open import open_renderer
 from gn0.render.share.client import VIEWS, RendererShared
 from gn0.render.share.connection import DrawConnection
-from gn0.render.share.messages import Draw
+from gn0.render.share.messages import Draw, Drawn, DrawnBy
 from gn0.render.share.server import Server, open_listener
 from gn0.render.who import WhoPictures
 from gn0.scenes.parts import build_ball
@@ -173,8 +173,20 @@ def test_one_that_cannot_tell_and_what_makes_no_sense_are_named(share) -> None:
 
 def test_messages_of_before_say_that_nobody_is_told_of() -> None:
     """What is new has defaults: a message without it means what it meant."""
-    from gn0.render.share.messages import Drawn, DrawnBy
-
     old = {"type": "drawn by", "name": "cpu", "labels": True, "poses": False}
     assert not msgspec.convert(old, DrawnBy).tells
     assert msgspec.convert({"type": "drawn", "number": 3}, Drawn).seen == ()
+
+
+def test_an_answer_that_is_no_picture_is_refused_alike_by_both_questions(
+    share, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connection = share(open_renderer("cpu"))._connection
+    asked = ("scene 1", {"key": "scene 1"}, CAMERA, looks(1))
+    for answer in (DrawnBy("somebody"), Drawn(1)):  # the second one saw no view
+        monkeypatch.setattr(connection, "_ask", lambda _, answer=answer: answer)
+        with pytest.raises(DeviceError, match=f"unexpected answer: {type(answer).__name__}"):
+            connection.tell_who(*asked, None)
+    monkeypatch.setattr(connection, "_ask", lambda _: DrawnBy("somebody"))
+    with pytest.raises(DeviceError, match="unexpected answer: DrawnBy"):
+        connection.draw(*asked, ("rgb",), None)

@@ -113,16 +113,11 @@ class DrawConnection:
             DeviceError: the device or the drawing process is lost.
             Gn0Error: what the process raised.
         """
-        self._number += 1
-        draw = Draw(
-            self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
-            outputs, background, self._areas, encode, floor is not None, millimetres, parts,
+        draw, area, answer = self._request(
+            key, source, camera, views, outputs, background, parts, floor, shown,
+            encode=encode, millimetres=millimetres,
         )  # fmt: skip
         _, coded, _ = lay_files(draw)
-        draw, area = self._prepare(draw, floor, shown)
-        answer = self._ask(draw)
-        if not isinstance(answer, Drawn):
-            raise DeviceError(f"unexpected answer: {type(answer).__name__}", where="drawing socket")
         spared = encode is not None and not encode.pixels
         if spared and not answer.files:
             return self.draw(  # nothing stands for the views: bring them after all
@@ -175,17 +170,43 @@ class DrawConnection:
             DeviceError: the device or the drawing process is lost.
             Gn0Error: what the process raised.
         """
+        draw, area, answer = self._request(
+            key, source, camera, views, WHO_OUTPUTS, None, parts, floor, who=True
+        )
+        numbers = find_places(draw, area)[WHO_OUTPUTS[0]].copy()
+        return WhoPictures(numbers, list(map(list, answer.seen)))
+
+    def _request(
+        self,
+        key: str,
+        source: Mapping[str, Any],
+        camera: Camera,
+        views: NDArray[np.float64],
+        outputs: tuple[Output, ...],
+        background: Colour | None,
+        parts: PartRows | None,
+        floor: Floor | None,
+        shown: MapPicture | None = None,
+        **asked: Any,
+    ) -> tuple[Draw, NDArray[np.uint8], Drawn]:
+        """A request as it was sent, the room of its pictures, and the answer.
+
+        `asked`: fields of `Draw` that only some requests have.
+
+        Raises:
+            DeviceError: the drawing process is lost, or answers something else.
+            Gn0Error: what it answers.
+        """
         self._number += 1
         draw = Draw(
             self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
-            WHO_OUTPUTS, None, self._areas, visible=floor is not None, parts=parts, who=True,
+            outputs, background, self._areas, visible=floor is not None, parts=parts, **asked,
         )  # fmt: skip
-        draw, area = self._prepare(draw, floor, None)
+        draw, area = self._prepare(draw, floor, shown)
         answer = self._ask(draw)
-        if not isinstance(answer, Drawn) or len(answer.seen) != draw.count:
+        if not isinstance(answer, Drawn) or (draw.who and len(answer.seen) != draw.count):
             raise DeviceError(f"unexpected answer: {type(answer).__name__}", where="drawing socket")
-        numbers = find_places(draw, area)[WHO_OUTPUTS[0]].copy()
-        return WhoPictures(numbers, list(map(list, answer.seen)))
+        return draw, area, answer
 
     def _prepare(
         self, draw: Draw, floor: Floor | None, shown: MapPicture | None

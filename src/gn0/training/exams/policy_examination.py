@@ -16,6 +16,7 @@ from pathlib import Path
 import torch
 
 import gn0
+from gn0.counted import counted
 from gn0.device.device import Device
 from gn0.device.open import open_device
 from gn0.errors import ConfigError
@@ -88,7 +89,7 @@ def examine_policy(
     )
     with open_walks(out, about, fresh=fresh) as kept:
         if kept.about.finished:
-            say(f"walked before: {len(kept.walks)} episodes")
+            say(f"walked before: {counted(len(kept.walks), 'episode')}")
             return kept.walks
         _walk(kept.walks, kept.add, wanted, about, lessons, policy, card, progress)
         kept.finish()
@@ -126,5 +127,5 @@ def _leave_out_unspoken(lessons: Lessons, policy: Examined, say: Callable[[str],
     kept = tuple(episode for episode in lessons.episodes if fits[episode.instruction])
     if len(kept) < len(lessons.episodes):
         left = len(lessons.episodes) - len(kept)
-        say(f"left out {left} episodes: their prompts have more than {policy.length} tokens")
+        say(f"left out {counted(left, 'episode')}: prompts of more than {policy.length} tokens")
     return replace(lessons, episodes=kept)

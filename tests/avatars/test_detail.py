@@ -146,6 +146,18 @@ def test_merging_keeps_place_spread_and_colour_of_parts() -> None:
     assert compared >= 7
 
 
+def test_strands_of_hair_are_no_lining_however_they_lie_over_each_other() -> None:
+    """A lining weighs next to nothing: what is under hair came through at level 3."""
+    full = small_person(0, 1.0)
+    hair = np.flatnonzero(full.part == PARTS.index("hair"))
+    assert len(hair) > 300
+    close = full.points.astype(np.float64)
+    close[hair] = close[hair].mean(axis=0) + 0.2 * (close[hair] - close[hair].mean(axis=0))
+    sizes = np.sort(full.scales.astype(np.float64), axis=1)
+    found = _find_linings(close, sizes[:, 1] * sizes[:, 2], full.part)
+    assert found.any() and not found[hair].any()
+
+
 def _pieces(*avatars: Avatar) -> dict[str, tuple[NDArray[np.bool_], ...]]:
     """Which splats of each avatar are of a part; skin by head and arms."""
     skin = PARTS.index("skin")

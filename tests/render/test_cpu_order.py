@@ -11,6 +11,7 @@ from gn0.render.cpu import spread_rows
 from gn0.render.cpu_bin import fill_tiles, scan_tiles, sort_tile
 from gn0.render.cpu_pack import CHUNK
 from gn0.render.cpu_project import ORDER, RECORD
+from gn0.render.cpu_raster import TILE
 
 
 @settings(max_examples=60, deadline=None)
@@ -52,8 +53,11 @@ def test_lists_hold_every_splat_of_every_tile_once() -> None:
     counts = np.array([256, 0, 31], np.int32)
     rects = np.zeros((chunks * CHUNK, 4), np.int16)
     rects[:, 0], rects[:, 2] = stream.integers(0, 6, len(rects)), stream.integers(0, 3, len(rects))
-    rects[:, 1] = rects[:, 0] + stream.integers(1, 3, len(rects)).clip(max=tiles_x - rects[:, 0])
-    rects[:, 3] = rects[:, 2] + 1
+    rects *= TILE
+    rects[:, 0] += stream.integers(0, TILE, len(rects)).astype(np.int16)
+    rects[:, 1] = (rects[:, 0] + stream.integers(1, 20, len(rects))).clip(max=TILE * tiles_x)
+    rects[:, 2] += 3
+    rects[:, 3] = rects[:, 2] + stream.integers(1, 14, len(rects))
     keys = stream.integers(0, 2**31, len(rects)).astype(np.uint32)
     edges = np.arange(blocks + 1) * chunks // blocks
     ranges = np.column_stack([edges[:-1], edges[1:]])
@@ -63,7 +67,10 @@ def test_lists_hold_every_splat_of_every_tile_once() -> None:
         for v in range(first, last):
             for row in range(v * CHUNK, v * CHUNK + counts[v]):
                 x0, x1, y0, y1 = rects[row]
-                for t in [y * tiles_x + x for y in range(y0, y1) for x in range(x0, x1)]:
+                touched = {
+                    (y // TILE) * tiles_x + x // TILE for y in range(y0, y1) for x in range(x0, x1)
+                }
+                for t in touched:
                     want[t].append(row)
                     histogram[b, t] += 1
     starts = np.empty(tiles_x * tiles_y + 1, np.int32)

@@ -70,6 +70,9 @@ class RendererBatchCpu:
     def add(self, key, load, digest="") -> None:
         self.load[key] = load
 
+    def prepare(self, cloud, like=None):
+        return cloud
+
     def render(self, *args, visible=False, extra=None, millimetres=False, parts=(), **more):
         camera, views, keys = args
         return self.draw(camera, views.reshape(-1, 4, 4), keys, **more).numpy()

@@ -164,3 +164,20 @@ def test_labels_before_a_reset_or_of_no_distance_are_refused() -> None:
     for stop in (0.0, -1.0, float("nan"), 11.0):
         with pytest.raises(SimError, match="labels that stop"):
             env.labels(stop)
+
+
+def test_labels_that_are_expected_build_no_field_twice() -> None:
+    """Those that are not cost a second look at every goal that is played; they are the same."""
+    env, ground = build([build_floor_plan(seed) for seed in range(3)], 6, AgentSpec())
+    surprised, _ = build([build_floor_plan(seed) for seed in range(3)], 6, AgentSpec())
+    env.expect_labels()
+    for one in (env, surprised):
+        one.reset(seed=0)
+    built = env.simulator.store.fields_built
+    assert surprised.simulator.store.fields_built == built
+    assert_same(env, ground)
+    assert_same(surprised, ground)
+    assert env.simulator.store.fields_built == built
+    assert surprised.simulator.store.fields_built == 2 * built
+    for mine, theirs in zip(env.labels(), surprised.labels(), strict=True):
+        assert (mine.numpy() == theirs.numpy()).all()

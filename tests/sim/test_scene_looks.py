@@ -16,7 +16,8 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.light import draw_condition, relight_cloud
 from gn0.scenes.example import build_example_scene
-from gn0.scenes.scene import Scene
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.scenes.scene import Scene, read_splats
 from gn0.sim.scene_looks import SceneLooks
 
 
@@ -75,6 +76,32 @@ def test_looks_of_a_scene_are_those_of_each_alone_and_it_is_read_once() -> None:
         assert (ready.alive, ready.ordered) == (expected.alive, expected.ordered)
         for name in ("means", "quats", "scales", "opacities", "sh"):
             assert np.array_equal(getattr(ready.cloud, name), getattr(alone, name))
+
+
+def test_scenes_of_folders_do_not_keep_their_splats(tmp_path) -> None:
+    """Of hundreds they would fill the host's memory; what is drawn is the same."""
+    save_scene(build_example_scene(), tmp_path / "a")
+    scene, drawer = load_scene(tmp_path / "a"), _Drawer()
+    looks = SceneLooks(drawer, {"a": lambda: scene})  # type: ignore[arg-type]
+    for look in _looks("a"):
+        looks.add(look)
+    found = [load() for load in drawer.loads.values()]
+    assert "gaussians" not in vars(scene)
+    assert found[0].cloud.content_hash == scene.gaussians.content_hash
+    assert read_splats(scene) is scene.gaussians  # which are here now
+
+
+def test_looks_are_told_once_each_as_they_are_loaded() -> None:
+    folder, drawer = _Folder(("a", "b")), _Drawer()
+    looks = SceneLooks(drawer, folder.scenes)  # type: ignore[arg-type]
+    told: list[tuple[int, int]] = []
+    looks.progress = lambda stage, done, total: told.append((done, total))
+    for look in _looks("a") + _looks("b"):
+        looks.add(look)
+    loads = list(drawer.loads.values())
+    for load in (loads[0], loads[0], *loads):
+        load()
+    assert told == [(1, 6), (1, 6), (1, 6), *((k, 6) for k in range(2, 7))]
 
 
 def test_few_scenes_wait_for_their_next_look() -> None:

@@ -22,7 +22,7 @@ from gn0.suites.suite import save_suite
 from gn0.training import worlds
 from gn0.training.exams import examination, recurrent_examination
 from gn0.training.streams.live_counts import LiveCounts
-from gn0.training.worlds import load_lessons, pick_evenly
+from gn0.training.worlds import OpeningLine, load_lessons, pick_evenly
 
 
 def test_few_episodes_are_spread_over_all() -> None:
@@ -88,21 +88,41 @@ def test_a_card_has_map_pictures_drawn_ahead_and_goes_on_without(monkeypatch) ->
     )
 
     def open_on(kind: str, draw) -> None:
-        env = SimpleNamespace(device=SimpleNamespace(kind=kind))
+        watched: list[OpeningLine] = []
+        env = SimpleNamespace(device=SimpleNamespace(kind=kind), watch_opening=watched.append)
         monkeypatch.setattr(worlds, "VectorEnvDevice", lambda *_, **settings: env)
         monkeypatch.setattr(worlds, "draw_maps_ahead", draw)
         told.clear()
         assert worlds.open_world(lessons, shown, 5, say=told.append) is env
+        assert len(watched) == 1
 
-    def fail(env) -> int:
+    def fail(env, progress) -> int:
         raise JobError("flat 3 failed", remedy="look")
 
     opened = "opening 2 scenes for 5 agents"
     open_on("cuda", fail)
     assert told[0] == opened and "one after another" in told[1] and "flat 3 failed" in told[1]
-    open_on("cuda", lambda env: 1200)
+    open_on("cuda", lambda env, progress: 1200)
     assert told == [opened, "drew 1,200 map pictures in 0 s"]
-    open_on("cuda", lambda env: 0)
+    open_on("cuda", lambda env, progress: 0)
     assert told == [opened]
     open_on("host", fail)
     assert told == [opened]
+
+
+def test_an_opening_is_told_every_few_seconds_and_at_its_end(monkeypatch) -> None:
+    now, told = [0.0], []
+    monkeypatch.setattr(worlds.time, "monotonic", lambda: now[0])
+    watch = OpeningLine(told.append, every=5.0)
+    for done in range(1, 13):  # a second each
+        watch("scenes", done, 12)
+        now[0] += 1.0
+    assert told == ["scenes: 6 of 12", "scenes: 11 of 12", "scenes: 12 of 12"]
+    told.clear()
+    watch("others", 1, 1_200)
+    now[0] += 2.0
+    watch("others", 1_200, 1_200)  # too soon over to be spoken of
+    assert told == []
+    now[0] += 5.0
+    watch("others", 1_200, 1_201)
+    assert told == ["others: 1,200 of 1,201"]

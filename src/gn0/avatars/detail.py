@@ -15,18 +15,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gn0.avatars.avatar import Avatar
+from gn0.avatars.layer import PARTS
 from gn0.avatars.skeleton import INDEX, JOINTS
 from gn0.avatars.skinning import pack_weights, pose_joints, skin_points, unskin_points
-from gn0.avatars.surfels import blended_turns
+from gn0.avatars.surfels import STRANDS, blended_turns
 from gn0.errors import ConfigError
 from gn0.gaussians.film import decode_srgb, encode_srgb
 from gn0.gaussians.morton import morton_codes
 from gn0.geometry import F64, quaternion_from_rotation, rotation_from_quaternion
 from gn0.jit import njit, prange
 
-SHARES = (1.0, 1 / 3, 1 / 12, 1 / 40)  # of all splats that each level has
-REACH_PX = (0.0, 0.95, 0.95, 0.95)  # mean distance of neighbours where a level begins [px]
-GRAIN = (0.0086, 0.0150, 0.0300, 0.0550)  # that distance [m]
+SHARES = (1.0, 1 / 4, 1 / 12, 1 / 40)  # of all splats that each level has
+REACH_PX = (0.0, 1.1, 0.95, 0.95)  # mean distance of neighbours where a level begins [px]
+GRAIN = (0.0086, 0.0173, 0.0300, 0.0550)  # that distance [m]
 _ROUNDS = 4  # of moving middles and sharing out again
 _FINE = 0.7  # how much of an avatar's own fineness, as on a face, its levels give up: 1 all
 _FACING, _LOOK = 1.0, 2.0  # grains that a turn of a radian, and a whole step of colour, are worth
@@ -34,6 +35,7 @@ _NEAR = 24  # neighbours whose sizes are much the same
 _DENSE = 0.55  # of the distance of the sixth neighbour, which is 0.76 of the mean distance
 _WIDEST = 1.5  # standard deviation of what is seen at most, in how close others lie
 _INNER = 0.01  # of a lining's mass that counts
+_STRANDS = [PARTS.index(name) for name in STRANDS]  # they lie over each other: none is a lining
 _APART = 1e3  # grains between parts: they never mix
 _SPREAD = (1.0, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
 _HANG = 1.15  # of arms in the pose in which splats are merged [rad]
@@ -64,7 +66,7 @@ def build_levels(avatar: Avatar) -> tuple[Avatar, ...]:
 def choose_level(distance: float, focal: float) -> int:
     """Level of detail of a person `distance` [m] away in a picture of focal length `focal` [px].
 
-    Numbers are those of `build_levels`: the coarsest whose splats stay under a pixel apart.
+    Numbers are those of `build_levels`: the coarsest whose splats stay about a pixel apart.
     """
     level = 0
     for number in range(1, len(SHARES)):
@@ -139,7 +141,7 @@ def _find_linings(points: F64, area: F64, part: NDArray[np.int32]) -> NDArray[np
         part: of each [N].
     """
     found: NDArray[np.bool_] = area > (_WIDEST * _even_sizes(points, part)) ** 2
-    return found
+    return found & ~np.isin(part, _STRANDS)
 
 
 def _usual_pose() -> F64:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.avatars.body import check_pose
+from gn0.avatars.motion.turns import unit_quat
 from gn0.avatars.skeleton import JOINT_COUNT, PARENTS
 from gn0.errors import DataError
 from gn0.geometry import F64
@@ -153,20 +154,7 @@ def _turn(x, y, z, out):  # type: ignore[no-untyped-def]
 
 @njit
 def _find_turn(out):  # type: ignore[no-untyped-def]
-    """The quaternion, at 12, of the matrix at 0; as `gn0.geometry.quaternion_from_rotation`."""
-    d0, d1, d2 = out[0], out[5], out[10]
-    a, b, c = out[9] - out[6], out[2] - out[8], out[4] - out[1]
-    p, q, r = out[4] + out[1], out[2] + out[8], out[9] + out[6]
-    t0, t1, t2, t3 = 1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2
-    if t0 >= t1 and t0 >= t2 and t0 >= t3:
-        w, x, y, z = t0, a, b, c
-    elif t1 >= t2 and t1 >= t3:
-        w, x, y, z = a, t1, p, q
-    elif t2 >= t3:
-        w, x, y, z = b, p, t2, r
-    else:
-        w, x, y, z = c, q, r, t3
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    if w < 0:
-        length = -length
-    out[12], out[13], out[14], out[15] = w / length, x / length, y / length, z / length
+    """The quaternion, at 12, of the matrix at 0."""
+    out[12], out[13], out[14], out[15] = unit_quat(
+        out[0], out[1], out[2], out[4], out[5], out[6], out[8], out[9], out[10]
+    )

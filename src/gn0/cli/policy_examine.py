@@ -79,9 +79,9 @@ def run(args: Args) -> int:
     """Walk, and print a row a mission kind."""
     from gn0.cli.console import draw_progress, plain_text
     from gn0.cli.train_packages import check_packages
-    from gn0.suites.suite import load_suite
+    from gn0.suites.suite_kept import load_suite_kept
 
-    load_suite(args.suite)  # looked at first: packages are of no help against a broken folder
+    load_suite_kept(args.suite)  # looked at first: packages are of no help against a broken folder
     check_packages()
     from gn0.training.exams.policy_examination import WalkJob, examine_policy
 

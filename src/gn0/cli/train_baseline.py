@@ -86,9 +86,9 @@ class Args(StageFlags, frozen=True, kw_only=True):
 def run(args: Args) -> int:
     """Train, and say where the policy lies."""
     from gn0.cli.train_packages import check_packages
-    from gn0.suites.suite import load_suite
+    from gn0.suites.suite_kept import load_suite_kept
 
-    load_suite(args.suite[0])  # packages are of no help against a broken folder
+    load_suite_kept(args.suite[0])  # packages are of no help against a broken folder
     settings = _choose_settings(args)
     check_packages()
     from gn0.training.baseline import BaselineJob, train_baseline

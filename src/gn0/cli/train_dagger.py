@@ -139,12 +139,12 @@ def run(args: Args) -> int:
     from gn0.cli.train_packages import check_packages
     from gn0.data.dataset import open_dataset
     from gn0.policies.bae.policy_settings import load_policy_settings
-    from gn0.suites.suite import load_suite
+    from gn0.suites.suite_kept import load_suite_kept
 
     _check_flags(args)
     # what is learned from is looked at first: packages are of no help against a broken folder
     first = args.suite[0]
-    open_dataset(first) if args.source == "dataset" else load_suite(first)
+    open_dataset(first) if args.source == "dataset" else load_suite_kept(first)
     if args.start:
         load_policy_settings(args.start)
     check_packages()

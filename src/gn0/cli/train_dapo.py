@@ -110,10 +110,10 @@ def run(args: Args) -> int:
     """Train, and say where the policy lies."""
     from gn0.cli.train_packages import check_packages
     from gn0.policies.bae.policy_settings import load_policy_settings
-    from gn0.suites.suite import load_suite
+    from gn0.suites.suite_kept import load_suite_kept
 
     # what is learned from is looked at first: packages are of no help against a broken folder
-    load_suite(args.suite[0])
+    load_suite_kept(args.suite[0])
     load_policy_settings(args.start)
     check_packages()
     from gn0.training.dapo import RECIPES_DAPO, DapoJob, train_dapo

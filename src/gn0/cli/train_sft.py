@@ -98,13 +98,13 @@ def run(args: Args) -> int:
     from gn0.data.dataset import open_dataset
     from gn0.policies.bae.policy_settings import PolicySettings
     from gn0.sim.ego_map import MapView
-    from gn0.suites.suite import load_suite
+    from gn0.suites.suite_kept import load_suite_kept
 
     # what is learned from is looked at first: packages are of no help against a broken folder
     for dataset in args.suite if args.source == "dataset" else ():
         open_dataset(dataset)
     if args.source != "dataset":
-        load_suite(args.suite[0])
+        load_suite_kept(args.suite[0])
     check_packages()
     from gn0.training.inputs import fit_prompt, read_inputs
     from gn0.training.recipe import RECIPES

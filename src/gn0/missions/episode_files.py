@@ -35,6 +35,7 @@ from gn0.missions.episode import (
     PathSource,
     check_episode,
 )
+from gn0.missions.episode_columns import count_column, read_column
 from gn0.missions.paths import rasterise_path
 from gn0.missions.people import decode_people, encode_people
 from gn0.render.light import LightCondition
@@ -302,7 +303,12 @@ def load_episodes(
     table = read_table(Path(path))
     ours = "episode_id" in table.column_names
     columns = GN_MATRIX_COLUMNS + OUR_COLUMNS if ours else GN_MATRIX_COLUMNS
-    values = {name: read_column(table, name, kind, path) for name, kind in columns}
+    values = {
+        name: (count_column if ours and name in PATH_COLUMNS else read_column)(
+            table, name, kind, path
+        )
+        for name, kind in columns
+    }
     for name, kind, absent in (*LATER_COLUMNS, *RARE_COLUMNS) if ours else ():
         there = name in table.column_names
         values[name] = read_column(table, name, kind, path) if there else [absent] * table.num_rows
@@ -357,54 +363,6 @@ def read_table(path: Path) -> pa.Table:
             file=path,
             remedy="write it again: it may be cut short",
         ) from None
-
-
-def read_column(table: pa.Table, name: str, kind: pa.DataType, path: Path | str) -> list[Any]:
-    """The values of a column that must be there, of that kind, without nulls.
-
-    Raises:
-        FormatError: it is missing, of another type, or holds a null; names the row.
-    """
-    places = [i for i, column in enumerate(table.column_names) if column == name]
-    if len(places) != 1:
-        what = "column is missing" if not places else "column appears more than once"
-        raise FormatError(
-            what, file=path, field=name, remedy="see docs/suites.md: its table of columns"
-        )
-    column = table.column(places[0])
-    if not _fits(column.type, kind):
-        raise FormatError(
-            f"column is {column.type}, expected {kind}", file=path, field=name, remedy="convert it"
-        )
-    values = column.to_pylist()
-    for row, value in enumerate(values, 1):
-        hole = value is None or (isinstance(value, list) and None in value)
-        if hole:
-            raise FormatError(
-                f"row {row} is null", file=path, field=name, remedy="no cell may be null"
-            )
-        if kind == _TEXT and not isinstance(value, str):
-            values[row - 1] = str(value)
-    return values
-
-
-def _fits(found: pa.DataType, wanted: pa.DataType) -> bool:
-    """Whether a column can be read as wanted: any width of the same family, ids as text or int."""
-    if pa.types.is_list(wanted):
-        is_list = pa.types.is_list(found) or pa.types.is_large_list(found)
-        return is_list and _fits(found.value_type, wanted.value_type)
-    if pa.types.is_dictionary(found):
-        return _fits(found.value_type, wanted)
-    if wanted == _TEXT:
-        text = (
-            pa.types.is_string(found)
-            or pa.types.is_large_string(found)
-            or pa.types.is_string_view(found)
-        )
-        return text or pa.types.is_integer(found)
-    if wanted == _REAL:
-        return pa.types.is_floating(found) or pa.types.is_integer(found)
-    return pa.types.is_integer(found)
 
 
 def check_path_lists(values: Mapping[str, list[Any]], path: Path | str) -> None:

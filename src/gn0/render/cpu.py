@@ -179,6 +179,7 @@ class RendererCpu:
                 plain = bool(wants.any()) or shown is None
                 if plain:
                     raster_tiles(
+                        self._buffers.rects,
                         *lists,
                         -(-camera.width // TILE),
                         camera.width,
@@ -240,7 +241,10 @@ class RendererCpu:
                 for part in placed:
                     opacity = np.empty(shape, np.float32)
                     lists = self.arrange(camera, matrix, [], [part])
-                    raster_tiles(*lists, *size, colour, wants, no_u8, no_f32, no_map, opacity)
+                    raster_tiles(
+                        *(self._buffers.rects, *lists, *size, colour, wants),
+                        *(no_u8, no_f32, no_map, opacity),
+                    )
                     alone.append(opacity)
                 seen.append(judge_seen(numbers[v], alone))
         return WhoPictures(numbers, seen)

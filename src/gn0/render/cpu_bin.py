@@ -42,7 +42,8 @@ def scan_tiles(histogram, starts):  # type: ignore[no-untyped-def]
 def fill_tiles(ranges, turns, counts, rects, keys, tiles_x, histogram, tile_rows, tile_keys):  # type: ignore[no-untyped-def]
     """List each tile's rows and their depth keys, block by block.
 
-    `ranges` [blocks, 2] are the chunks of a block; `histogram` holds its places and is used up.
+    `ranges` [blocks, 2] are the chunks of a block, `rects` [rows, 4] the pixels of each row;
+    `histogram` holds its places and is used up.
     `turns` [blocks] says which block is when, so that each thread has its share of a large cloud.
     """
     for turn in prange(ranges.shape[0]):
@@ -52,8 +53,9 @@ def fill_tiles(ranges, turns, counts, rects, keys, tiles_x, histogram, tile_rows
             for row in range(v * CHUNK, v * CHUNK + counts[v]):
                 key = keys[row]
                 r = rects[row]
-                for ty in range(r[2], r[3]):
-                    for t in range(ty * tiles_x + r[0], ty * tiles_x + r[1]):
+                left, right = r[0] >> 4, (r[1] + 15) >> 4
+                for ty in range(r[2] >> 4, (r[3] + 15) >> 4):
+                    for t in range(ty * tiles_x + left, ty * tiles_x + right):
                         place = cursor[t]
                         cursor[t] = place + 1
                         tile_rows[place] = row

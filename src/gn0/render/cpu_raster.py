@@ -27,8 +27,6 @@ from gn0.render.cpu_project import (
     QK,
     QX,
     QY,
-    X0,
-    X1,
     U,
     V,
 )
@@ -46,8 +44,11 @@ _FAR_AWAY = F(np.inf)
 _LAST = F(TILE - 1)
 _EDGE = F(0.02)  # px: rounding of the row range
 BATCH = 64
-GATHERED = 12 * BATCH + 1  # floats of a batch: twelve fields, and one that nobody reads
-_CHECK = 16  # splats between looks for finished rows
+GATHERED = 10 * BATCH + 1  # floats of a batch: ten fields, and one that nobody reads
+# quads are four pixels of a row: bit 4 r + k of a tile's 64 is row r, columns 4 k to 4 k + 3
+_NONE, _ONE_BIT, _SIDE = np.uint64(0), np.uint64(1), np.uint64(15)
+_LEFT, _RIGHT, _OUTER = np.uint64(3), np.uint64(12), np.uint64(9)
+_ALL, _COLUMN = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0x1111111111111111)
 _ENDED = np.int64(-0x7FFFFFFF80000000)  # sign bits of two float32
 
 
@@ -64,9 +65,12 @@ def exponential(p):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, first, lanes):  # type: ignore[no-untyped-def]
-    """Blend one splat into `lanes` columns from `first` of rows y0 to y1 of a tile."""
+    """Blend one splat into `lanes` columns from `first` of rows y0 to y1 of a tile.
+
+    Rows without a quad in `live` are left out.
+    """
     for r in range(y0, y1):
-        if (live >> r) & 1 == 0:
+        if (live >> np.uint64(4 * r)) & _SIDE == _NONE:
             continue
         dy = dy0 + F(r)
         start = q0 + qy * dy
@@ -100,7 +104,7 @@ def gather_batch(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no
     warm = _ZERO  # records lie far apart: a loop as short as this waits for many of them at once
     for b in range(rows.shape[0]):
         warm += records[rows[b], U]
-    gathered[12 * BATCH] = warm
+    gathered[10 * BATCH] = warm
     for b in range(rows.shape[0]):
         o = records[rows[b]]
         gathered[b] = left - o[U]
@@ -113,8 +117,6 @@ def gather_batch(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no
         gathered[7 * BATCH + b] = o[CG]
         gathered[8 * BATCH + b] = o[CB]
         gathered[9 * BATCH + b] = o[DEPTH]
-        gathered[10 * BATCH + b] = o[X0] - F(x_px)
-        gathered[11 * BATCH + b] = o[X1] - F(x_px)
     for b in range(rows.shape[0]):
         dx0, dy0 = gathered[b], gathered[BATCH + b]
         qx, qy = gathered[2 * BATCH + b], gathered[3 * BATCH + b]
@@ -136,54 +138,77 @@ def gather_batch(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no
         reach[BATCH + b] = np.int32(min(max(np.floor(y1 + _EDGE) + _ONE, _ZERO), _LAST + _ONE))
 
 
+@njit(inline="always")
+def _cover_quads(x0, x1, y0, y1):  # type: ignore[no-untyped-def]
+    """Bits of the quads that columns x0 to x1 and rows y0 to y1 of a tile touch; none is empty."""
+    columns = (_SIDE << np.uint64(x0 >> 2)) & (_SIDE >> np.uint64(3 - ((x1 - 1) >> 2)))
+    rows = (_ALL << np.uint64(4 * y0)) & (_ALL >> np.uint64(4 * (TILE - y1)))
+    return rows & (columns * _COLUMN)
+
+
 @njit(error_model="numpy")
-def _blend_tile(records, rows, x_px, y_px, columns, lines, acc):  # type: ignore[no-untyped-def]
+def _blend_tile(records, rects, rows, x_px, y_px, columns, lines, acc):  # type: ignore[no-untyped-def]
     """Blend `rows`, front to back, into `acc` [TILE * _ROW].
 
-    Each picture row holds TILE transmittances, reds, greens, blues and depths.
+    Each picture row holds TILE transmittances, reds, greens, blues and depths. Splats whose pixels
+    have all ended are left out before their records are read: as many of a body lie behind its
+    front as are seen.
     """
     signs = acc.view(np.int64)
     acc[:] = _ZERO
     for r in range(TILE):
         for j in range(TILE):
             acc[r * _ROW + j] = _ONE if r < lines and j < columns else -_ONE
-    live = left = right = (1 << lines) - 1  # rows that are not finished, and their halves
+    live = _cover_quads(0, columns, 0, lines)  # quads of pixels that have not all ended
     gathered = np.empty(GATHERED, np.float32)
     reach = np.empty(2 * BATCH, np.int32)
-    for start in range(0, rows.shape[0], BATCH):
-        size = min(BATCH, rows.shape[0] - start)
-        gather_batch(records, rows[start : start + size], x_px, y_px, gathered, reach)
+    taken, quads = np.empty(BATCH, np.int32), np.empty(BATCH, np.uint64)
+    first = 0
+    while first < rows.shape[0]:
+        size = 0
+        while first < rows.shape[0] and size < BATCH:
+            row = rows[first]
+            first += 1
+            box = rects[row]
+            x0, x1 = max(np.int64(box[0]) - x_px, 0), min(np.int64(box[1]) - x_px, TILE)
+            y0, y1 = max(np.int64(box[2]) - y_px, 0), min(np.int64(box[3]) - y_px, TILE)
+            touched = live & _cover_quads(x0, x1, y0, y1)
+            taken[size], quads[size] = row, touched
+            size += int(touched != _NONE)
+        gather_batch(records, taken[:size], x_px, y_px, gathered, reach)
         for b in range(size):
-            y0, y1 = reach[b], reach[BATCH + b]
-            in_left, in_right = gathered[10 * BATCH + b] < F(8.0), gathered[11 * BATCH + b] > F(8.0)
-            open_rows = live if in_left and in_right else (left if in_left else right)
-            if (open_rows >> y0) & ((1 << max(y1 - y0, 0)) - 1):
+            y0, y1, still = reach[b], reach[BATCH + b], quads[b]
+            if y0 < y1:
                 dx0, dy0 = gathered[b], gathered[BATCH + b]
                 qx, qy = gathered[2 * BATCH + b], gathered[3 * BATCH + b]
                 qk, log_o = gathered[4 * BATCH + b], gathered[5 * BATCH + b]
                 red, green = gathered[6 * BATCH + b], gathered[7 * BATCH + b]
                 blue, z = gathered[8 * BATCH + b], gathered[9 * BATCH + b]
                 q0 = qx * dx0
-                if not in_right:
-                    blend(acc, y0, y1, left, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
-                elif not in_left:
-                    blend(acc, y0, y1, right, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
+                # columns that are still open lie in a half of the tile, in its middle, or anywhere
+                across = still | (still >> np.uint64(32))
+                across |= across >> np.uint64(16)
+                across |= across >> np.uint64(8)
+                across |= across >> np.uint64(4)
+                if across & _RIGHT == _NONE:
+                    blend(acc, y0, y1, still, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
+                elif across & _LEFT == _NONE:
+                    blend(acc, y0, y1, still, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
+                elif across & _OUTER == _NONE:
+                    blend(acc, y0, y1, still, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 4, 8)
                 else:
-                    blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)
-            if (b & (_CHECK - 1)) == _CHECK - 1:
-                for r in range(lines):
-                    if (live >> r) & 1:
-                        ended_left, ended_right = _ENDED, _ENDED
-                        for j in range(TILE // 4):
-                            ended_left &= signs[r * (_ROW // 2) + j]
-                            ended_right &= signs[r * (_ROW // 2) + TILE // 4 + j]
-                        if ended_left == _ENDED:
-                            left &= ~(1 << r)
-                        if ended_right == _ENDED:
-                            right &= ~(1 << r)
-                live = left | right
-                if live == 0:
-                    return
+                    blend(
+                        acc, y0, y1, still, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16
+                    )
+        for r in range(lines):
+            at = np.uint64(4 * r)
+            if (live >> at) & _SIDE != _NONE:
+                for quad in range(4):
+                    pair = r * (_ROW // 2) + 2 * quad
+                    if signs[pair] & signs[pair + 1] & _ENDED == _ENDED:
+                        live &= ~(_ONE_BIT << (at + np.uint64(quad)))
+        if live == _NONE:
+            return
 
 
 @njit(error_model="numpy")
@@ -224,8 +249,8 @@ def _write_tile(  # type: ignore[no-untyped-def]
 
 @njit(parallel=True)
 def raster_tiles(  # type: ignore[no-untyped-def]
-    records, indices, ordered, starts, tile_rows, tile_keys, spare_rows, spare_keys, row_order,
-    tiles_x, width, height, background, wants, rgb_u8, rgb_f32, depth, alpha,
+    rects, records, indices, ordered, starts, tile_rows, tile_keys, spare_rows, spare_keys,
+    row_order, tiles_x, width, height, background, wants, rgb_u8, rgb_f32, depth, alpha,
 ):  # fmt: skip
     """Sort and blend all tiles into the pictures asked for (`wants`: u8, f32, depth, alpha).
 
@@ -241,7 +266,7 @@ def raster_tiles(  # type: ignore[no-untyped-def]
         more_keys = spare_keys[starts[t] : starts[t + 1]]
         sort_tile(keys, rows, more_keys, more_rows, indices, records, ordered)
         acc = np.empty(TILE * _ROW, np.float32)
-        _blend_tile(records, rows, x_px, y_px, columns, lines, acc)
+        _blend_tile(records, rects, rows, x_px, y_px, columns, lines, acc)
         _write_tile(
             acc, x_px, y_px, columns, lines, background, wants, rgb_u8, rgb_f32, depth, alpha
         )

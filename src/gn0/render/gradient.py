@@ -99,6 +99,16 @@ def _still_live(acc, live, lines):  # type: ignore[no-untyped-def]
     return live
 
 
+@njit
+def _row_quads(live, lines):  # type: ignore[no-untyped-def]
+    """Rows of `live` as `blend` has them: four bits a row."""
+    quads = np.uint64(0)
+    for r in range(lines):
+        if (live >> r) & 1:
+            quads |= np.uint64(15) << np.uint64(4 * r)
+    return quads
+
+
 @njit(error_model="numpy")
 def _turn_round(acc, x_px, y_px, columns, lines, target, scale, closed):  # type: ignore[no-untyped-def]
     """Colours become gradients of scale · Σ (C − target)²; returns the squared error.
@@ -164,6 +174,7 @@ def sum_entries(  # type: ignore[no-untyped-def]
                 errors[t] = _turn_round(acc, x_px, y_px, columns, lines, target, scale, closed)
                 sums[begin : begin + rows.shape[0]] = _ZERO
             live = (1 << lines) - 1
+            quads = _row_quads(live, lines)
             for first in range(0, rows.shape[0], BATCH):
                 size = min(BATCH, rows.shape[0] - first)
                 gather_batch(records, rows[first : first + size], x_px, y_px, o, reach)
@@ -175,7 +186,7 @@ def sum_entries(  # type: ignore[no-untyped-def]
                     red, green, blue = o[6 * BATCH + b], o[7 * BATCH + b], o[8 * BATCH + b]
                     if not second:
                         blend(
-                            acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue,
+                            acc, y0, y1, quads, q0, qx, qy, dy0, qk, log_o, red, green, blue,
                             _ZERO, 0, TILE,
                         )  # fmt: skip
                     else:
@@ -190,6 +201,7 @@ def sum_entries(  # type: ignore[no-untyped-def]
                             sums[begin + first + b, k] = value
                     if (b & (_CHECK - 1)) == _CHECK - 1:
                         live = _still_live(acc, live, lines)
+                        quads = _row_quads(live, lines)
                         if live == 0:
                             break
                 if live == 0:

@@ -98,7 +98,7 @@ class Scene:
         bounds: [2, 3] m of the whole geometry.
         licence: SPDX id or free text; "" when unknown.
         path: the scene folder, when it lives on disk.
-        load_cloud: called once, on first use of `gaussians`.
+        load_cloud: called on first use of `gaussians`, and by `read_splats`.
     """
 
     id: str
@@ -138,6 +138,17 @@ class Scene:
             self.grid.content_hash,
             msgspec.json.encode((self.objects, self.rooms)),
         )
+
+
+def read_splats(scene: Scene) -> GaussianCloud:
+    """A scene's splats, which those of a folder do not keep: of hundreds they fill host memory.
+
+    Raises:
+        StorageError, FormatError: the folder is damaged.
+    """
+    if scene.path is None or "gaussians" in vars(scene):
+        return scene.gaussians
+    return scene.load_cloud()
 
 
 def name_categories(cloud: GaussianCloud, objects: tuple[SceneObject, ...]) -> GaussianCloud:

@@ -33,6 +33,7 @@ from gn0.errors import ConfigError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.progress import Progress
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
@@ -427,9 +428,24 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         Raises:
             EpisodeError: an episode does not fit its scene.
         """
+        return self._find_expert().bring_all(np.unique(self.simulator.numbers))
+
+    def watch_opening(self, progress: Progress) -> None:
+        """Tell of scenes in their lights as their splats are loaded; threads that load tell it."""
+        if self._eyes is not None:
+            self._eyes.watch_opening(progress)
+
+    def expect_labels(self) -> None:
+        """Labels will be asked for: what they need of a goal is found with its field from now on.
+
+        Without it the first call of `labels` builds all fields that are played once more.
+        """
+        self._find_expert()
+
+    def _find_expert(self) -> ExpertDevice:
         if self._expert is None:
             self._expert = ExpertDevice(self.simulator)
-        return self._expert.bring_all(np.unique(self.simulator.numbers))
+        return self._expert
 
     def save_state(self, agents: Any = None) -> AgentStates:
         """The states of agents [K], or of all, to go on from as often as wanted.
@@ -539,9 +555,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before labels()")
-        if self._expert is None:
-            self._expert = ExpertDevice(self.simulator)
-        return LabelsDevice(*map(self._layout.own, self._expert.label(stop_distance)))
+        return LabelsDevice(*map(self._layout.own, self._find_expert().label(stop_distance)))
 
     def _advance(
         self, actions: Any, codes: DeviceArray | None, into: Mapping[str, DeviceArray] | None

@@ -20,6 +20,7 @@ from gn0.maps.inflate import inflate
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.people.person import PEOPLE_MOST
 from gn0.plugins import is_builtin
+from gn0.progress import Progress
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import Renderer
@@ -154,6 +155,10 @@ class EyesDevice:
     def map_settings(self) -> tuple[float, tuple[float, float, float]]:
         """Of these pictures: what lies above this height [m] is left out, and their background."""
         return self.config.cut_height, self.config.preset.background
+
+    def watch_opening(self, progress: Progress) -> None:
+        """Tell of looks as their splats are loaded; threads that load them tell it."""
+        self._looks.progress = progress
 
     def lacks_map(self, look: str) -> bool:
         """Whether the cache lacks the picture of a scene in its light."""

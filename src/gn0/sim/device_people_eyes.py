@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import GRAIN, REACH_PX
-from gn0.avatars.light import find_probes
+from gn0.avatars.light import LightProbes, find_probes
 from gn0.avatars.motion.library import LOOPS, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
@@ -30,7 +30,7 @@ from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson
 from gn0.people.shown_codes import ShownCodes
 from gn0.render.instance import PartsDevice
-from gn0.scenes.scene import Scene
+from gn0.scenes.scene import Scene, read_splats
 from gn0.seeds import derive_seed
 from gn0.sim.device_layout import ROLE, THREADS, blocks_of
 from gn0.sim.device_records import ShowPeople
@@ -87,6 +87,7 @@ class PeopleEyesDevice:
                 remedy="use renderer 'cuda', or VectorEnv",
             )
         self._scenes, self.cast = scenes, Cast(bank)
+        self._probes: dict[str, LightProbes] = {}  # by scene: its looks differ in gains alone
         self.posed = PosedBankDevice(renderer, budget, postures=_POSTURES)
         self.codes = ShownCodes(self.cast)
         self._from = [0.0] + [
@@ -108,8 +109,10 @@ class PeopleEyesDevice:
     def light_of(self, look: str) -> LookLight:
         """The light on people in a scene under a light."""
         scene_id, condition = split_look(look)
-        scene = self._scenes[scene_id]()
-        probes = find_probes(scene.gaussians, scene.grid)
+        probes = self._probes.get(scene_id)
+        if probes is None:
+            scene = self._scenes[scene_id]()
+            probes = self._probes[scene_id] = find_probes(read_splats(scene), scene.grid)
         gains: F32 | F64 = probes.gains() if condition is None else probes.gains(condition)
         return LookLight(
             np.ascontiguousarray(probes.column, np.int32),

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.geometry import F64, U8
+from gn0.jobs.process import count_cores
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow, check_episode
 from gn0.missions.follow_target import follow_target
@@ -33,6 +33,7 @@ from gn0.sim.device_pool import Block, PoolDevice, store_size
 from gn0.sim.device_records import StoreRows
 from gn0.sim.device_routes import LookLight, mark_walls, pack_routes
 from gn0.sim.ground import (
+    MAPS_TOGETHER,
     Destination,
     EpisodeNumbers,
     GroundStore,
@@ -47,6 +48,7 @@ _log = logging.getLogger(__name__)
 _WORD = 16  # bytes that a thread of `store_rows` copies
 _BUILDERS = 16  # threads that build fields at most
 _WORTH = 2**26  # bytes on the host that keep as many fields as are built side by side
+_MANY, _TOGETHER = 8, 256  # episodes for whose fields threads are worth it, and for how many
 
 
 class MapPictures(NamedTuple):
@@ -238,11 +240,14 @@ class EpisodeStore:
         )
         fresh: list[int] = []
         try:
-            for k in missing:
-                slot = self._bring(int(wanted[k]))
-                self._references[slot] = counts[k]
-                here[k] = True
-                fresh.append(slot)
+            for part in self._cut(missing, wanted):
+                if len(part) >= _MANY:
+                    self.build_fields(wanted[part])
+                for k in part:
+                    slot = self._bring(int(wanted[k]))
+                    self._references[slot] = counts[k]
+                    here[k] = True
+                    fresh.append(slot)
         except BaseException:
             self._references[self._slot_of[wanted[here]]] -= counts[here]
             raise
@@ -250,16 +255,28 @@ class EpisodeStore:
             self._send_rows(fresh)
         return self._slot_of[numbers]
 
+    def _cut(self, missing: list[int], wanted: NDArray[np.integer]) -> Iterator[list[int]]:
+        """Those that are brought together: of few scenes, and so many that host memory has room."""
+        part: list[int] = []
+        scenes: set[str] = set()
+        for k in missing:
+            scene_id = self.episodes[int(wanted[k])].scene_id
+            if len(part) == _TOGETHER or len(scenes | {scene_id}) > MAPS_TOGETHER:
+                yield part
+                part, scenes = [], set()
+            part.append(k)
+            scenes.add(scene_id)
+        yield part
+
     def build_fields(self, numbers: NDArray[np.integer]) -> None:
         """Build those fields of episodes that are not here, side by side, where memory keeps them.
 
-        Raises:
-            EpisodeError, SceneError: see `pin`.
+        What has none is passed over: `pin` says why.
         """
         goals = [destination_of(self.episodes[number]) for number in numbers.tolist()]
         missing = [goal for goal in goals if goal not in self._fields]
         if self._host_memory >= _WORTH and missing:
-            self.ground.build_all(missing, min(os.cpu_count() or 1, _BUILDERS))
+            self.ground.build_all(missing, min(count_cores(), _BUILDERS))
 
     def pin_turned(
         self, numbers: NDArray[np.integer], bases: NDArray[np.float64]

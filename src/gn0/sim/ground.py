@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import EpisodeError, PlanError, SceneError, SimError
+from gn0.errors import EpisodeError, Gn0Error, SceneError, SimError
 from gn0.geometry import F64, U8, wrap_angle
 from gn0.maps.bends import find_bends
 from gn0.maps.distance import GeodesicField
@@ -29,6 +30,7 @@ from gn0.sim.kinematics import heading_yaw
 
 CIRCLE_LIMIT = 3600  # turns in a full circle
 MAPS_KEPT = 32  # maps held with corners and regions, beside one bit a cell of all
+MAPS_TOGETHER = 16  # scenes whose fields are built side by side: their maps stay meanwhile
 Destination = tuple[str, tuple[float, float] | GoalSet]  # scene, and what counts there
 
 
@@ -228,12 +230,16 @@ class GroundStore:
         if scene_id in self._lent:
             return self._lent[scene_id]
         if scene_id not in self._kept:
-            self._kept[scene_id] = self._again(scene_id) or self._load(scene_id)
-            while len(self._kept) > MAPS_KEPT:
-                gone, navigation = self._kept.popitem(last=False)
-                self._bits[gone] = _Bits.of(navigation)
+            self._keep(scene_id, self._again(scene_id) or self._load(scene_id))
         self._kept.move_to_end(scene_id)
         return self._kept[scene_id]
+
+    def _keep(self, scene_id: str, navigation: NavigationMap) -> None:
+        """Keep a ground, for which the least recently used is kept as bits alone."""
+        self._kept[scene_id] = navigation
+        while len(self._kept) > MAPS_KEPT:
+            gone, ground = self._kept.popitem(last=False)
+            self._bits[gone] = _Bits.of(ground)
 
     def _load(self, scene_id: str) -> NavigationMap:
         if scene_id not in self._scenes:
@@ -285,30 +291,58 @@ class GroundStore:
         """Build the fields of many destinations side by side, in so many threads.
 
         Those that memory keeps are found by `field` afterwards. A destination that has none is
-        passed over; `field` says why.
-
-        Raises:
-            EpisodeError, SceneError: see `open`.
+        passed over, as one whose scene cannot be opened; `field` says why.
         """
-        missing = [name for name in dict.fromkeys(destinations) if name not in self._fields]
-        grounds = {scene_id: self.open(scene_id) for scene_id in {name[0] for name in missing}}
-
-        def build(destination: Destination) -> tuple[PackedField, PackedWays | None] | None:
-            navigation = grounds[destination[0]]
-            try:
-                field = navigation.geodesic(destination[1], keep=False)
-            except PlanError:
-                return None
-            packed = pack_field(field, navigation.blocked)
-            return packed, pack_ways(field, navigation.blocked) if self.with_ways else None
-
+        missing: dict[str, list[Destination]] = {}
+        for name in dict.fromkeys(destinations):
+            if name not in self._fields:
+                missing.setdefault(name[0], []).append(name)
+        names = list(missing)
         with ThreadPoolExecutor(threads) as pool:
-            for name, built in zip(missing, pool.map(build, missing), strict=True):
-                if built is not None:
+            for begin in range(0, len(names), MAPS_TOGETHER):
+                grounds = self._open_all(names[begin : begin + MAPS_TOGETHER], pool)
+                wanted = [name for scene_id in grounds for name in missing[scene_id]]
+                build = partial(self._build_packed, grounds)
+                for name, built in zip(wanted, pool.map(build, wanted), strict=True):
+                    if built is None:
+                        continue
                     self.fields_built += 1
                     self._keep_field(name, built[0])
                     if built[1] is not None:
                         self._keep_ways(name, built[1])
+
+    def _open_all(self, names: Sequence[str], pool: ThreadPoolExecutor) -> dict[str, NavigationMap]:
+        """The grounds of scenes, those that are not open side by side; without those that fail."""
+        new = [name for name in names if name not in self._lent and name not in self._kept]
+
+        def open_new(scene_id: str) -> NavigationMap | None:
+            try:
+                return self._again(scene_id) or self._load(scene_id)
+            except Gn0Error:
+                return None
+
+        opened = dict(zip(new, pool.map(open_new, new), strict=True))
+        found: dict[str, NavigationMap] = {}
+        for scene_id in names:
+            ground = opened.get(scene_id)
+            if ground is not None:
+                self._keep(scene_id, ground)
+            if scene_id not in opened:
+                ground = self.open(scene_id)
+            if ground is not None:
+                found[scene_id] = ground
+        return found
+
+    def _build_packed(
+        self, grounds: Mapping[str, NavigationMap], destination: Destination
+    ) -> tuple[PackedField, PackedWays | None] | None:
+        navigation = grounds[destination[0]]
+        try:
+            field = navigation.geodesic(destination[1], keep=False)
+        except Gn0Error:
+            return None
+        packed = pack_field(field, navigation.blocked)
+        return packed, pack_ways(field, navigation.blocked) if self.with_ways else None
 
     def _keep_field(self, destination: Destination, packed: PackedField) -> None:
         """Keep a field, for which the least recently used make room."""

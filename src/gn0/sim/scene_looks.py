@@ -13,9 +13,10 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.progress import Progress, no_progress
 from gn0.render.light import relight_cloud
 from gn0.render.renderer import Renderer
-from gn0.scenes.scene import Scene
+from gn0.scenes.scene import Scene, read_splats
 from gn0.sim.open import look_hash, split_look
 
 _SHARED = 3  # scenes whose splats stay in host memory for their next look
@@ -33,12 +34,19 @@ class SceneLooks:
         renderer: knows looks by their names (`gn0.sim.open.name_look`); None where nothing is
             drawn.
         scenes: scene id → how to get the scene; its splats are read from what each call gives.
+
+    Attributes:
+        progress: is told of looks as they are loaded, and of how many have a name, by whatever
+            thread loads one.
     """
 
     def __init__(
         self, renderer: Renderer | None, scenes: Mapping[str, Callable[[], Scene]]
     ) -> None:
         self._renderer, self._scenes = renderer, scenes
+        self.progress: Progress = no_progress
+        self._named: set[str] = set()
+        self._loaded: set[str] = set()  # once at least
         self._opened: dict[str, Scene] = {}  # nobody asks these for their splats
         self._as_made: OrderedDict[str, Future[_AsMade]] = OrderedDict()
         self._lock = Lock()
@@ -66,8 +74,14 @@ class SceneLooks:
         def load() -> Any:
             made = self._load(scene_id)
             lit = made.cloud if light is None else relight_cloud(made.cloud, light)
-            return made.ready if lit is made.cloud else renderer.prepare(lit, made.ready)
+            found = made.ready if lit is made.cloud else renderer.prepare(lit, made.ready)
+            with self._lock:
+                self._loaded.add(look)
+                self.progress("scenes in their lights", len(self._loaded), len(self._named))
+            return found
 
+        with self._lock:
+            self._named.add(look)
         renderer.add(look, load, look_hash(self.scene(scene_id), light))
 
     def _load(self, scene_id: str) -> _AsMade:
@@ -83,7 +97,7 @@ class SceneLooks:
         if mine:
             try:
                 assert self._renderer is not None
-                cloud = self._scenes[scene_id]().gaussians
+                cloud = read_splats(self._scenes[scene_id]())
                 coming.set_result(_AsMade(cloud, self._renderer.prepare(cloud)))
             except BaseException as error:
                 with self._lock:  # the next one tries again

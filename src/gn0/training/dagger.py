@@ -9,6 +9,7 @@ control that tells what the policy's states are worth. `dagger_live.py` gathers 
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import math
 import re
@@ -30,7 +31,7 @@ from gn0.sim.history import LENGTH as MOSAIC
 from gn0.storage import write_json
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import open_learner
-from gn0.training.policy_driver import open_driver
+from gn0.training.policy_driver import PolicyDriver, open_driver
 from gn0.training.pupil import Pupil, fit_texts, load_pupil
 from gn0.training.recipe import RECIPES, Kind, Recipe
 from gn0.training.runs.metrics_file import read_metrics
@@ -218,6 +219,7 @@ def _collect(
     whose = f"{job.driver} {hash_weights(pupil.model)}"
     _go_on(walks, file, whose, run)
     live = walks.live
+    driver: PolicyDriver | None = None
     if job.driver == "policy" and job.beta < 1:
         dtype = torch.bfloat16 if run.where.type == "cuda" else None
         driver = open_driver(pupil, job.agents, executed=job.executed, dtype=dtype)
@@ -231,7 +233,8 @@ def _collect(
         run.say(f"collecting: step {live.ring.count:,} of {walks.steps:,}")
 
     counts = walks.collect(save)
-    live.driver = None  # its memory is the learner's now
+    live.driver = driver = None
+    _give_back(run.where)  # its memory is the learner's now
     different, episodes = walks.count_variety()
     shares = {"different": different / walks.states, "collected_episodes": float(episodes)}
     means = processes.mean(asdict(counts) | shares, run.where)
@@ -258,6 +261,13 @@ def _collect(
         )
     run.folder.log(text)
     return found
+
+
+def _give_back(where: torch.device) -> None:
+    """What nobody holds any more; a recorded decision and its buffers hold each other."""
+    gc.collect()
+    if where.type == "cuda":
+        torch.cuda.empty_cache()
 
 
 def _hold(beta: float) -> Callable[[int], float]:

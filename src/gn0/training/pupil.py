@@ -34,6 +34,7 @@ from gn0.policies.bae.tokenizer_file import TokenizerFile
 from gn0.policies.qwen.architecture import Architecture, parse_architecture
 from gn0.sim.sensors import MapFrame
 from gn0.training.streams.samples import SampleMaker, Stream, find_frames, pack_frames
+from gn0.training.words_kept import keep_words
 
 _ROUND = 8  # texts' tokens are rounded up to a multiple of this
 _MEET = 2  # tokens kept for where a text and the prompt around it meet
@@ -85,7 +86,7 @@ class Pupil:
     @cached_property
     def words(self) -> TokenizerFile:
         """The tokenizer of texts and answers."""
-        return TokenizerFile(self.checkpoint.tokenizer.backend_tokenizer)
+        return keep_words(self.checkpoint.tokenizer)
 
     @cached_property
     def slots(self) -> AnswerSlots:

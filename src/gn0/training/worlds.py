@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, TypedDict
 
@@ -14,11 +13,13 @@ from gn0.device.device import Device
 from gn0.errors import ConfigError, Gn0Error, TrainingError
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES, PolicySettings
+from gn0.progress import Progress
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
 from gn0.sim.maps_ahead import draw_maps_ahead
 from gn0.storage import content_hash
-from gn0.suites.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
+from gn0.suites.suite import SUITE_FILE, Suite
+from gn0.suites.suite_kept import load_suite_kept
 from gn0.training.pupil import Pupil
 
 _POLL = 0.5  # s
@@ -83,7 +84,7 @@ def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str
         BenchError, FormatError, StorageError: one is no suite, or cannot be read.
     """
     paths = [suites] if isinstance(suites, Path | str) else list(suites)
-    opened = tuple(_open_suite(path) for path in paths)
+    opened = tuple(load_suite_kept(path) for path in paths)
     known = sorted({episode.split for suite in opened for episode in suite.episodes})
     for name in splits:
         if name not in known:
@@ -107,24 +108,6 @@ def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str
             )
     episodes = (e for suite in opened for e in suite.episodes if not splits or e.split in splits)
     return Lessons(opened, tuple(splits), tuple(episodes))
-
-
-def _open_suite(path: Path | str) -> Suite:
-    """A suite; one that was opened before and is as it was is not read again.
-
-    A stage asks for its lessons several times, and tens of thousands of episodes take 10 s each.
-    """
-    try:
-        folder = Path(path).resolve()
-        looks = [(folder / name).stat() for name in (SUITE_FILE, EPISODE_FILE)]
-    except (OSError, ValueError):
-        return load_suite(path)  # says what is wrong; or it is a URL
-    return _load_as_it_was(folder, *((one.st_mtime_ns, one.st_size) for one in looks))
-
-
-@lru_cache(maxsize=16)
-def _load_as_it_was(folder: Path, *stamps: tuple[int, int]) -> Suite:
-    return load_suite(folder)
 
 
 def wait_for_suites(
@@ -201,16 +184,42 @@ def open_world(
         host_memory=memory,
         **options,
     )
+    watch = OpeningLine(say)
+    env.watch_opening(watch)
     if env.device.kind == "cuda":
-        _draw_maps(env, say)
+        _draw_maps(env, say, watch)
     return env
 
 
-def _draw_maps(env: VectorEnvDevice, say: Callable[[str], None]) -> None:
+class OpeningLine:
+    """How far something is that hundreds of scenes take: said every few seconds, and at its end.
+
+    What is over sooner is not spoken of. Threads may tell it, one at a time.
+
+    Args:
+        say: is told.
+        every: s from line to line.
+    """
+
+    def __init__(self, say: Callable[[str], None], every: float = 5.0) -> None:
+        self._say, self._every = say, every
+        self._stage, self._due, self._spoke = "", 0.0, False
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """A `Progress`: `done` of `total` of a stage."""
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._due, self._spoke = stage, now + self._every, False
+        if now >= self._due or (self._spoke and done == total):
+            self._say(f"{stage}: {done:,} of {total:,}")
+            self._due, self._spoke = now + self._every, done < total
+
+
+def _draw_maps(env: VectorEnvDevice, say: Callable[[str], None], watch: Progress) -> None:
     """Let several processes draw what the environment would draw one after another."""
     begun = time.monotonic()
     try:
-        drawn = draw_maps_ahead(env)
+        drawn = draw_maps_ahead(env, progress=watch)
     except Gn0Error as error:  # of help, not needed: what is wrong with a scene is told in its turn
         say(f"map pictures are drawn one after another: {error}")
         return

@@ -86,8 +86,9 @@ class DrawerCpu(Drawer):
             parts = [(whole[cloud_of[v]], 0)]
             if tail_of is not None and tail_of[v] >= 0:
                 parts.append((moving[tail_of[v]], clouds[cloud_of[v]].size))
+            lists = cpu.arrange(camera, matrix, parts)
             raster_tiles(
-                *cpu.arrange(camera, matrix, parts),
+                *(cpu._buffers.rects, *lists),
                 *(-(-camera.width // TILE), camera.width, camera.height, background, wants),
                 none8 if out[0] is None or as_float else out[0][row],
                 none32 if not as_float else out[0][row],

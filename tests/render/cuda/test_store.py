@@ -216,7 +216,7 @@ def test_the_next_cloud_is_loaded_while_one_is_drawn(monkeypatch) -> None:
 def test_small_clouds_are_loaded_several_at_a_time(monkeypatch) -> None:
     """As many as the host's room holds by the size of the last; they come in order all the same."""
     monkeypatch.setattr("gn0.render.cuda.store._AHEAD", 3 * ONE)
-    monkeypatch.setattr("gn0.render.cuda.store.count_cores", lambda: 3)
+    monkeypatch.setattr("gn0.render.cuda.store.count_cores", lambda: 1)
     store, loaders, _ = store_of("abcdefg", 10 * ONE)
     three = threading.Barrier(3)
 
@@ -228,6 +228,27 @@ def test_small_clouds_are_loaded_several_at_a_time(monkeypatch) -> None:
         store.add(key, partial(wait_for_others, loaders[key]), "another hash")
     assert [list(group) for group in store.groups("abcdefg")] == [list("abcdefg")]
     assert [loader.times for loader in loaders.values()] == [1] * 7
+
+
+def test_looks_that_wait_for_their_scene_take_no_core(monkeypatch) -> None:
+    """On one core a scene's other looks wait for its first, and the next scene is read beside."""
+    monkeypatch.setattr("gn0.render.cuda.store.count_cores", lambda: 1)
+    store, loaders, _ = store_of("abcd", 10 * ONE)
+    read, next_begun = threading.Event(), threading.Event()
+
+    def load(key: str) -> GaussianCloud:
+        if key == "d":
+            next_begun.set()
+        elif key == "b":
+            assert next_begun.wait(20)
+            read.set()
+        elif key == "c":
+            assert read.wait(20)
+        return loaders[key]()
+
+    for key in "bcd":
+        store.add(key, partial(load, key), "another hash")
+    assert [list(group) for group in store.groups("abcd")] == [list("abcd")]
 
 
 def test_a_cloud_that_cannot_be_loaded_ahead_is_said_at_its_turn() -> None:

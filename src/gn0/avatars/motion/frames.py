@@ -20,7 +20,7 @@ from gn0.avatars.motion.legs import (
     Plan,
     flatten_plan,
 )
-from gn0.avatars.motion.turns import slerp_one
+from gn0.avatars.motion.turns import slerp_one, unit_quat
 from gn0.avatars.skeleton import INDEX, JOINT_COUNT
 from gn0.geometry import F64
 from gn0.jit import njit, njit_borrowing, prange
@@ -151,23 +151,10 @@ def _matrix(quats, at, out):  # type: ignore[no-untyped-def]
 
 @njit_borrowing
 def _quat(m, out):  # type: ignore[no-untyped-def]
-    """As `gn0.geometry.quaternion_from_rotation`."""
-    d0, d1, d2 = m[0, 0], m[1, 1], m[2, 2]
-    a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    p, q, r = m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2]
-    t0, t1, t2, t3 = 1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2
-    if t0 >= t1 and t0 >= t2 and t0 >= t3:
-        w, x, y, z = t0, a, b, c
-    elif t1 >= t2 and t1 >= t3:
-        w, x, y, z = a, t1, p, q
-    elif t2 >= t3:
-        w, x, y, z = b, p, t2, r
-    else:
-        w, x, y, z = c, q, r, t3
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    if w < 0:
-        length = -length
-    out[0], out[1], out[2], out[3] = w / length, x / length, y / length, z / length
+    """Unit quaternion of a matrix [3, 3]."""
+    out[0], out[1], out[2], out[3] = unit_quat(
+        m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
+    )
 
 
 @njit_borrowing

@@ -171,3 +171,24 @@ def angles_between(a: NDArray[np.floating], b: NDArray[np.floating]) -> F64:
     """Angles [...] rad between directions [..., 3]; exact for small ones."""
     cross = np.linalg.norm(np.cross(a, b), axis=-1)
     return np.arctan2(cross, (np.asarray(a) * np.asarray(b)).sum(axis=-1))
+
+
+@njit(inline="always")
+def unit_quat(m00, m01, m02, m10, m11, m12, m20, m21, m22):  # type: ignore[no-untyped-def]
+    """(w, x, y, z), w ≥ 0, of a matrix by rows; as `gn0.geometry.quaternion_from_rotation`."""
+    a, b, c = m21 - m12, m02 - m20, m10 - m01
+    p, q, r = m10 + m01, m20 + m02, m21 + m12
+    t0, t1 = 1 + m00 + m11 + m22, 1 + m00 - m11 - m22
+    t2, t3 = 1 - m00 + m11 - m22, 1 - m00 - m11 + m22
+    if t0 >= t1 and t0 >= t2 and t0 >= t3:
+        w, x, y, z = t0, a, b, c
+    elif t1 >= t2 and t1 >= t3:
+        w, x, y, z = a, t1, p, q
+    elif t2 >= t3:
+        w, x, y, z = b, p, t2, r
+    else:
+        w, x, y, z = c, q, r, t3
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if w < 0:
+        length = -length
+    return w / length, x / length, y / length, z / length

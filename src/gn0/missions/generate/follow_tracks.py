@@ -15,7 +15,8 @@ import pyarrow as pa
 
 from gn0.errors import FormatError
 from gn0.geometry import F64
-from gn0.missions.episode_files import read_column, read_table
+from gn0.missions.episode_columns import read_column
+from gn0.missions.episode_files import read_table
 
 TRACKS = "tracks.parquet"
 _TEXT, _INT = pa.string(), pa.int64()

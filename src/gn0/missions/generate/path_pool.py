@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from gn0.errors import FormatError
 from gn0.geometry import F64
 from gn0.maps.goal_places import GoalSet
-from gn0.missions.episode_files import decode_goal_set, encode_goal_set, read_column, read_table
+from gn0.missions.episode_columns import read_column
+from gn0.missions.episode_files import decode_goal_set, encode_goal_set, read_table
 from gn0.storage import content_hash, write_bytes
 
 _TEXT, _REAL, _INT = pa.string(), pa.float64(), pa.int64()

@@ -19,13 +19,13 @@ from gn0.errors import EpisodeError, FormatError
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.coordinate_frames import Placement
 from gn0.missions.episode import Episode, check_episode
+from gn0.missions.episode_columns import read_column
 from gn0.missions.episode_files import (
     GN_MATRIX_COLUMNS,
     PATH_COLUMNS,
     check_path_lists,
     check_unique,
     gn_matrix_row,
-    read_column,
     read_table,
 )
 from gn0.missions.sets.episode_set import EpisodeSet, Task

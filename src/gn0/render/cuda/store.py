@@ -23,7 +23,8 @@ from gn0.render.cuda.pack import CloudReady, cloud_bytes, prepare_cloud, upload_
 
 _SMALLER = "use backend 'cpu', or a scene with fewer splats or a lower SH degree"
 SHARE = 0.6  # of the memory that is free at the start, for clouds; the rest is for drawing
-_AHEAD, _THREADS = 2**28, 8  # bytes of clouds that are loaded before their turn, by how many
+_AHEAD, _THREADS = 2**29, 16  # bytes of clouds that are loaded before their turn, by how many cores
+_WAITING = 3  # threads a core: the looks of a scene wait for the first of them, and take none
 Load = Callable[[], GaussianCloud | CloudReady]
 
 
@@ -261,7 +262,7 @@ def _load_ahead(
     if len(loads) < 2:
         yield from ((key, load()) for key, load in loads.items())
         return
-    most = min(_THREADS, count_cores())
+    most = _WAITING * min(_THREADS, count_cores())
     with ThreadPoolExecutor(most, "load clouds") as pool:
         coming = iter(loads.items())
         waiting: deque[tuple[str, Future[CloudReady]]] = deque()

@@ -268,7 +268,7 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
 }
 
 // The rest of a tick whose choice is made.
-__device__ __noinline__ void do_chosen(Person &q, const Episode &e, const Pace &pace, Around &a,
+__device__ __forceinline__ void do_chosen(Person &q, const Episode &e, const Pace &pace, Around &a,
                                        const Task &t, const double *scores) {
   if (t.kind == SIDES) {
     q.side = choose_side(scores);

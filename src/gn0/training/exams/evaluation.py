@@ -185,6 +185,8 @@ class EpisodeLoop(ABC):
                 where="evaluation",
                 remedy="open the environment with the sensors of the policy's settings",
             )
+        if labelled:
+            env.expect_labels()
         self.decisions, self.counts = 0, LiveCounts()
         squares = set(SQUARE_NAMES) & {*pictures}
         # whole maps are drawn of the same pictures as squares

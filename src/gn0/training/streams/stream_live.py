@@ -169,6 +169,7 @@ class StreamLive:
         self._steps = 0
         self._mute()
         self._views = "rgb" in env.sensors
+        env.expect_labels()
         self._begin()
 
     @cached_property

@@ -118,6 +118,7 @@ class StreamWalks:
         self.round, self.count = 0, 0
         self.drivers: list[Driver] = []
         self._kept: dict[str, Tensor] = {}
+        env.expect_labels()
         self._episode = torch.zeros(env.num_envs, dtype=torch.int64, device=self.device)
         self._last = torch.full_like(self._episode, -1)
         self._before = torch.full_like(self._episode, -1)  # of the expert

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gn0.avatars.avatar import Avatar
-from gn0.avatars.bank import load_avatar, open_avatars
+from gn0.avatars.bank import load_avatar, open_avatars, save_avatar
 from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.poses import trial_poses
 from gn0.avatars.skinning import pose_joints, skin_points
@@ -112,6 +112,26 @@ def test_a_room_or_a_lone_ply_is_refused(person: Avatar, folder: Path, tmp_path:
     shutil.copy(folder / f"{person.name}.ply", alone / "x.ply")
     with pytest.raises(FormatError, match="no binding says which joints"):
         load_splat_person(alone / "x.ply")
+
+
+@pytest.mark.parametrize(("name", "data"), [("a.fbx", b"Kaydara FBX Binary"), ("a.png", b"PNG")])
+def test_a_file_of_something_else_is_told_what_a_person_is(
+    tmp_path: Path, name: str, data: bytes
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(FormatError, match="is not a person that can be read") as caught:
+        load_splat_person(tmp_path / name)
+    assert "binding.npz" in caught.value.remedy and "skin" in caught.value.remedy
+    assert name in str(caught.value)
+
+
+def test_an_avatar_of_ours_needs_no_import(
+    person: Avatar, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_avatar(tmp_path / "own.npz", person)
+    command = ["avatar", "import", str(tmp_path / "own.npz"), "--out", str(tmp_path / "o.npz")]
+    assert main(command) == 2
+    assert "an avatar of GN0 needs no import" in capsys.readouterr().err
 
 
 def test_the_command_line_brings_a_person(

@@ -53,12 +53,20 @@ def test_what_is_given_wins_over_the_spec(tmp_path: Path) -> None:
         ({"minimum_length": -1.0}, "--minimum-length"),
         ({"missions": "goal,fly"}, "--missions"),
         ({"val_seen": 2.0}, "--val-seen"),
+        ({"levels": "single"}, "--levels"),  # nobody is followed
+        ({"judge": "pictures", "missions": "goal"}, "--judge"),
+        ({"levels": "alone", "missions": "follow"}, "--levels"),
+        ({"styles": "rhymed"}, "--styles"),
     ],
 )
 def test_a_value_out_of_range_is_named_by_its_flag(given: dict, flag: str) -> None:
     with pytest.raises(ConfigError) as caught:
         read_settings(args(**given))
     assert caught.value.where == flag
+    choices = {"--missions": "goal", "--styles": "benchmark"}
+    assert choices.get(flag, "") in caught.value.remedy
+    if given.get("levels") == "alone":
+        assert caught.value.remedy == "choose of single, distractors, ambiguous"
 
 
 def test_options_are_numbers_where_they_are() -> None:

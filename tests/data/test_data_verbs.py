@@ -10,7 +10,9 @@ from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.dataset import open_dataset
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
+from gn0.people.person import EpisodePerson
 from gn0.sim.open import open_simulator
+from gn0_trials.follow_suite_small import goal_episode, save_small
 
 
 def test_build_render_show_verify(data_suite, tmp_path, capsys) -> None:
@@ -79,3 +81,14 @@ def test_kills_lose_nothing(tmp_path) -> None:
     assert report.same == report.runs
     assert (report.lost, report.twice, report.unreadable) == (0, 0, 0)
     assert (report.forgotten, report.leftovers) == (0, 0)
+
+
+def test_a_build_of_which_every_episode_fell_is_no_success(tmp_path, capsys) -> None:
+    """Somebody walks through a wall in each of them: each is skipped with the place."""
+    walker = EpisodePerson(number=1, identity="drawn:0:1", path=((0.1, 0.1), (6.0, 4.4)))
+    suite = save_small(tmp_path / "suite", goal_episode(walker))
+    out = str(tmp_path / "data")
+    assert main(["data", "build", str(suite.folder), "--layout", "none", "--out", out]) == 1
+    text = capsys.readouterr().out
+    assert "skipped b-goal: person 1 comes nearer than 0.3 m to a wall at (0.100, 0.100) m" in text
+    assert "1 of 1 episode skipped" in text and "look at it" not in text

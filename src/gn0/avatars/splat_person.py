@@ -24,6 +24,7 @@ from gn0.avatars.skinning import SkinWeights, pack_weights, pose_joints, unskin_
 from gn0.avatars.surfels import blended_turns
 from gn0.errors import DataError, FormatError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
+from gn0.gaussians.cloud_file import CloudFile
 from gn0.gaussians.film import decode_srgb, encode_srgb
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.splat_files import load_cloud
@@ -34,6 +35,8 @@ from gn0.storage import write_atomic
 
 BINDING_FILE = "binding.npz"
 _REMEDY = "fit a body to it and write weights_idx, weights and joints (or betas) to binding.npz"
+_PERSON = "a person is splats (.ply, .spz, .splat, .sog) with a binding.npz, or a .glb with a skin"
+_SPLATS = (".ply", ".spz", ".splat", ".sog", ".ksplat", ".json", "")  # by their ends; "": folders
 _TALL = (0.5, 2.6)  # what a person may measure in T-pose [m]
 _WIDE, _DEEP = 3.0, 1.5  # and from hand to hand and front to back, at most [m]
 _STRAY = 0.005  # share of splats that may lie beyond on either side
@@ -73,6 +76,20 @@ def save_splat_person(folder: Path | str, avatar: Avatar) -> Path:
     return path
 
 
+def _load_splats(file: Path) -> CloudFile:
+    """The splats of a person's file; a file of something else is told what a person is."""
+    if file.suffix.lower() == ".npz" and file.is_file():
+        own = "an avatar of GN0 needs no import: gn0 avatar show FILE; "
+        raise FormatError("is an archive of arrays, no splats", file=file, remedy=own + _PERSON)
+    try:
+        return load_cloud(file)
+    except FormatError as error:
+        if file.suffix.lower() in _SPLATS:
+            raise
+        what = f"is not a person that can be read: {error.what}"
+        raise FormatError(what, file=file, remedy=_PERSON) from None
+
+
 def load_splat_person(
     path: Path | str, *, body: BodyModel | None = None, binding: Path | str | None = None
 ) -> Avatar:
@@ -89,7 +106,7 @@ def load_splat_person(
             splats are those of a room, or of somebody without legs.
     """
     file = Path(path)
-    found = load_cloud(file)
+    found = _load_splats(file)
     side = Path(binding) if binding is not None else file.parent / BINDING_FILE
     if not side.is_file():
         raise FormatError(

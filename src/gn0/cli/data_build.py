@@ -161,5 +161,7 @@ def run(args: Args) -> int:
     if skipped:
         asked = counted(episodes + len(skipped), "episode")
         print(f"{len(skipped)} of {asked} skipped; all in dataset.json")
+    if not about.rows and skipped:
+        return 1  # as in a run none of whose episodes was scored
     print(f"look at it: gn0 data show {args.out} --out {args.out.rstrip('/')}.png")
     return 0

@@ -161,7 +161,13 @@ def read_settings(args: Args) -> MissionSettings:
         StorageError, FormatError: the spec cannot be read.
     """
     from gn0.errors import ConfigError
-    from gn0.missions.generate.settings import MissionKind, MissionSettings, load_settings
+    from gn0.missions.generate.follow_settings import FollowLevelName
+    from gn0.missions.generate.settings import (
+        MissionKind,
+        MissionSettings,
+        RouteStyle,
+        load_settings,
+    )
 
     settings = load_settings(args.spec) if args.spec else MissionSettings()
     plain: dict[str, Any] = msgspec.to_builtins(settings)
@@ -187,14 +193,23 @@ def read_settings(args: Args) -> MissionSettings:
         plain["follow"] = {**plain.get("follow", {}), "judge": args.judge}
     if plain["missions"] == ["follow"] and args.minimum_length is None and not args.spec:
         plain["minimum_length"] = FOLLOW_LENGTH
+    if "follow" not in plain["missions"]:
+        flag = "--levels" if args.levels else "--judge" if args.judge else ""
+        if flag:
+            raise ConfigError(
+                "is of missions to follow somebody, and none are made",
+                where=flag,
+                remedy="add --types follow, or goal,follow",
+            )
     try:
         return msgspec.convert(plain, MissionSettings)
     except msgspec.ValidationError as error:
         what, _, field = str(error).partition(" - at `$.")
         name = field.rstrip("`").split("[")[0].split(".")[-1].replace("_", "-")
         flag = f"--{name}" if name else "settings"
-        kinds = f"choose of {', '.join(get_args(MissionKind))}" if flag == "--missions" else ""
-        remedy = kinds or "see `gn0 missions generate --help`"
+        choices = {"--missions": MissionKind, "--levels": FollowLevelName, "--styles": RouteStyle}
+        words = ", ".join(get_args(choices.get(flag)))
+        remedy = f"choose of {words}" if words else "see `gn0 missions generate --help`"
         raise ConfigError(what, where=flag, remedy=remedy) from None
 
 

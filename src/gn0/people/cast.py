@@ -156,7 +156,8 @@ class Cast:
                     f"{person.identity!r} is of bank {person.bank}, this is "
                     f"{self.bank.content_hash}",
                     where=place,
-                    remedy=f"give the bank that they were made with, not {self.bank.folder}",
+                    remedy="give the bank that they were made with, not the one in "
+                    f"{self.bank.folder}",
                 )
             if person.identity not in self.bank.names:
                 raise EpisodeError(

@@ -157,7 +157,7 @@ class EpisodePerson(
                 f"2 to {_POINTS_MOST} points, at least 0.1 m",
             )  # fmt: skip
         elif self.after == "loop" and self.path[0] != self.path[-1]:
-            raise _fault(where, "path", "is not closed", "end a loop where it begins")
+            raise _fault(where, "path", "is not closed", "a loop that ends where it begins")
 
     def _check_stops(self, where: str) -> None:
         if len(self.stops) > _STOPS_MOST or (self.stops and self.behaviour != "script"):

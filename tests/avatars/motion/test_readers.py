@@ -304,6 +304,21 @@ def test_amass_is_turned_about_its_root(tmp_path):
             assert np.abs(ours - turned).max() < 1e-12
 
 
+def test_who_leaves_the_floor_is_told_of_whatever_the_format(tmp_path):
+    away = np.zeros((30, 3))
+    away[:, 2] = np.linspace(0.0, 4.0, 30)  # z is up there
+    flat = np.zeros((30, 165))
+    for name, trans in (("flies", away), ("stays", 0.0 * away)):
+        np.savez(tmp_path / f"{name}.npz", poses=flat, trans=trans, mocap_frame_rate=30.0)
+    np.save(tmp_path / "plain.npy", flat)
+    notes = {
+        path.stem: [note for note in load_motion(path).notes if "leaves the floor" in note]
+        for path in tmp_path.iterdir()
+    }
+    assert notes["stays"] == notes["plain"] == []
+    assert notes["flies"] == ["leaves the floor: at times the lower foot is 4.00 m above it"]
+
+
 def test_lhm_frames(tmp_path):
     folder = tmp_path / "clip" / "smplx_params"
     folder.mkdir(parents=True)

@@ -23,7 +23,7 @@ from gn0.avatars.motion.mhr import KEYS as MHR
 from gn0.avatars.motion.mhr import refuse_mhr
 from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.motion_file import KEYS, LIMIT, decode_motion
-from gn0.avatars.motion.retarget import retarget
+from gn0.avatars.motion.retarget import retarget, tell_lift
 from gn0.avatars.motion.rig import RigMotion
 from gn0.avatars.motion.smplx_motion import decode_plain_poses, decode_smplx_npz, is_smpl
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS
@@ -53,16 +53,17 @@ def load_motion(
         FormatError: of no kind that is known, damaged, or no motion; says what to do.
     """
     path = Path(path)
+    body = STANDING_JOINTS if joints is None else np.asarray(joints, np.float64)
     if path.is_dir():
-        return load_lhm(path, joints)
+        return tell_lift(load_lhm(path, joints), body)
     data = read_bytes(path, LIMIT)
     rig = decode_rig(data, path, clip)
     if rig is not None:
-        return retarget(rig, STANDING_JOINTS if joints is None else joints, path)
+        return retarget(rig, body, path)
     if is_lhm_document(data):
-        return decode_lhm_document(data, path, joints)
+        return tell_lift(decode_lhm_document(data, path, joints), body)
     if data.startswith(NPY):
-        return decode_plain_poses(data, path, joints)
+        return tell_lift(decode_plain_poses(data, path, joints), body)
     if data.startswith(b"PK\x03\x04"):
         arrays = ArrayFile(path, data)
         names = frozenset(arrays.names)
@@ -71,7 +72,7 @@ def load_motion(
         if names >= MHR:
             raise refuse_mhr(arrays)
         if is_smpl(names):
-            return decode_smplx_npz(arrays, joints)
+            return tell_lift(decode_smplx_npz(arrays, joints), body)
         shown = ", ".join(sorted(name[:40] for name in names)[:12])
         raise unknown_motion(path, f"is an archive of {shown or 'nothing'}")
     raise unknown_motion(path, _what_else(data, path))

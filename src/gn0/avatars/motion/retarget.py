@@ -276,16 +276,27 @@ def _unit_note(rig: RigMotion, hips: float) -> str:
     return f"{said}hips {hips:.3g} units high; scaled by them alone"
 
 
+def tell_lift(motion: Motion, rest: F64) -> Motion:
+    """The same motion, which says so where both feet of a body [55, 3] m leave the floor."""
+    return replace(motion, notes=(*motion.notes, *_lift(motion, rest)[1]))
+
+
 def _put_on_floor(motion: Motion, rest: F64) -> Motion:
     """The same motion with its lowest foot as high as at rest, and what was unusual about it."""
+    down, notes = _lift(motion, rest)
+    shift = motion.shift - [0.0, down, 0.0]
+    return replace(motion, shift=shift, notes=(*motion.notes, *notes))
+
+
+def _lift(motion: Motion, rest: F64) -> tuple[float, list[str]]:
+    """How high the lowest foot ever is above where it rests [m], and a note of those who fly."""
     feet = list(FEET)
     low = np.empty(len(motion))
     for first in range(0, len(motion), _BLOCK):
         _, placed = move_joints(motion, rest, first, first + _BLOCK)
         low[first : first + len(placed)] = (placed[:, feet, 1] - rest[feet, 1]).min(axis=1)
     down = float(low.min())
-    notes = list(motion.notes)
     away = float((low - down).max())
-    if away > 0.6:
-        notes.append(f"leaves the floor: at times the lower foot is {away:.2f} m above it")
-    return replace(motion, shift=motion.shift - [0.0, down, 0.0], notes=tuple(notes))
+    if away <= 0.6:
+        return down, []
+    return down, [f"leaves the floor: at times the lower foot is {away:.2f} m above it"]

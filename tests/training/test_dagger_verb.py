@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import shutil
@@ -25,11 +26,14 @@ pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm
+from gn0.policies.bae.actor import Actor
 from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.training import dapo
+from gn0.training.policy_driver import PolicyDriver
 from gn0.training.pupil import build_pupil
 from gn0.training.streams.step_ring import StepRing
+from gn0.training.streams.stream_collected import StreamCollected
 from gn0.training.worlds import load_lessons
 
 # python -c: a collection that is killed once so many steps are there
@@ -221,6 +225,23 @@ def test_the_expert_rescues_on_request_where_states_are_gathered_once(
 
 
 @pytest.mark.slow
+def test_who_acted_is_let_go_before_learning_begins(suite, start, tmp_path, monkeypatch) -> None:
+    """On a card its memory is the learner's then: no driver and no actor is alive any more."""
+    alive: list[str] = []
+    plain = StreamCollected.count_variety
+
+    def count(self):
+        kept = (type(one) for one in gc.get_objects())
+        alive.extend(kind.__name__ for kind in kept if kind in (PolicyDriver, Actor))
+        return plain(self)
+
+    monkeypatch.setattr(StreamCollected, "count_variety", count)
+    own = ["--start", start, "--states", 16, "--epochs", 1, "--agents", 4]
+    assert main(_words(suite, tmp_path / "run", *own)) == 0
+    assert _read(tmp_path / "run")[0]["driven"] > 0.5
+    assert alive == []
+
+
 def test_the_control_has_as_many_samples_of_the_experts_walks(suite, start, tmp_path) -> None:
     own = ["--start", start, "--states", 16, "--epochs", 2, "--agents", 4]
     mine, theirs = tmp_path / "mine", tmp_path / "theirs"

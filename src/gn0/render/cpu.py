@@ -275,7 +275,7 @@ class RendererCpu:
         clouds: list[tuple[PackedCloud, int]],
         placed: Sequence[PlacedPart] = (),
     ) -> tuple[NDArray[np.generic] | bool, ...]:
-        """Project all clouds and list each tile's splats; what `raster_tiles` takes first.
+        """Project all clouds and list each tile's splats; what `raster_tiles` takes after pixels.
 
         Args:
             camera: takes the picture.

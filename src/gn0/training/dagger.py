@@ -264,7 +264,7 @@ def _collect(
 
 
 def _give_back(where: torch.device) -> None:
-    """What nobody holds any more; a recorded decision and its buffers hold each other."""
+    """Memory of what nobody holds any more, whatever holds itself included."""
     gc.collect()
     if where.type == "cuda":
         torch.cuda.empty_cache()

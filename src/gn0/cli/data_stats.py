@@ -38,9 +38,10 @@ def run(args: Args) -> int:
     from pathlib import Path
 
     from gn0.cli.console import draw_progress
+    from gn0.counted import counted
     from gn0.data.dataset import open_dataset
     from gn0.data.dataset_stats import measure_dataset
-    from gn0.data.people_stats import count_of, describe_people
+    from gn0.data.people_stats import describe_people
     from gn0.data.sample_sheet import draw_sheet
     from gn0.seeds import random_stream
     from gn0.storage import write_json, write_text
@@ -64,9 +65,9 @@ def run(args: Args) -> int:
     write_json(out / "stats.json", msgspec.to_builtins(stats))
     write_text(out / "stats.html", render_stats(stats, coverage, sheets))
     print(
-        f"{count_of(sum(stats.samples.values()), 'sample')}, "
-        f"{count_of(stats.steps.count, 'episode')}, {count_of(stats.paths, 'path')}, "
-        f"{count_of(len(stats.scenes), 'scene')}; mean path {stats.length.mean:.1f} m"
+        f"{counted(sum(stats.samples.values()), 'sample')}, "
+        f"{counted(stats.steps.count, 'episode')}, {counted(stats.paths, 'path')}, "
+        f"{counted(len(stats.scenes), 'scene')}; mean path {stats.length.mean:.1f} m"
     )
     shares = ", ".join(f"{name} {share:.1f} %" for name, share in stats.actions.items())
     print(f"actions: {shares}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from gn0.avatars.bank import AvatarBank
 from gn0.config import Config
+from gn0.counted import counted
 from gn0.data.dataset import Dataset
 from gn0.data.sample_table import EpisodeRows
 from gn0.missions.episode import Episode, MissionFollow
@@ -141,17 +142,12 @@ def read_record(identity: str, bank: AvatarBank | None) -> dict[str, str]:
     return dict(bank.entry(identity).record)
 
 
-def count_of(number: int, one: str, many: str = "") -> str:
-    """A number with its noun: "1 path", "1,200 paths"; `many` where an s will not do."""
-    return f"{number:,} {one if number == 1 else many or one + 's'}"
-
-
 def describe_people(stats: PeopleStats) -> str:
     """The numbers in a few lines of plain words."""
     count, told = sum(stats.episodes.values()), ", ".join
     lines = [
-        f"people: {count_of(stats.identities, 'identity', 'identities')} in "
-        f"{count_of(count, 'episode')}, {count_of(stats.keywords, 'word')} of their records; "
+        f"people: {counted(stats.identities, 'identity', 'identities')} in "
+        f"{counted(count, 'episode')}, {counted(stats.keywords, 'word')} of their records; "
         f"{stats.peopled:.1f} % of the samples have somebody about",
         f"tasks: {told(f'{k} {v:,}' for k, v in stats.tasks.items())}; static "
         f"{100 - stats.dynamic:.1f} %, dynamic {stats.dynamic:.1f} %",
@@ -161,7 +157,7 @@ def describe_people(stats: PeopleStats) -> str:
         lines.append(
             f"follow missions: {told(f'{k} {v}' for k, v in stats.categories.items())}; "
             f"{told(f'{k} {v}' for k, v in stats.levels.items())}; "
-            f"{count_of(stats.followed, 'person', 'people')} followed"
+            f"{counted(stats.followed, 'person', 'people')} followed"
         )
     if stats.in_view:
         lines.append(

@@ -16,8 +16,9 @@ from markupsafe import Markup
 from PIL import Image
 
 from gn0.bench.report_maps import data_uri
+from gn0.counted import counted
 from gn0.data.dataset_stats import ACTION_NAMES, Coverage, DatasetStats, Spread
-from gn0.data.people_stats import PeopleStats, count_of
+from gn0.data.people_stats import PeopleStats
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAPS = 24  # coverage maps shown
@@ -81,7 +82,7 @@ def render_stats(
         style=Markup(style),  # noqa: S704 (our own file, byte for byte what the hash covers)
         content_policy=policy,
         stats=stats,
-        count_of=count_of,
+        counted=counted,
         total=sum(stats.samples.values()),
         sources=rank(sources),
         wide=_WIDE,

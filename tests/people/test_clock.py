@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from gn0.errors import SimError
 from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
@@ -80,6 +81,15 @@ def test_finer_ticks_come_to_the_same_bits_at_every_decision(episodes) -> None:
         between += int((seen[0] != seen[1]).any(axis=2).sum())
         met += int((coarse.whole[:, :, MODE] == 1).sum() + (coarse.whole[:, :, WAIT] > 0).sum())
     assert met > 2000 and between > 5000  # they wait and go round, and ticks in between are seen
+
+
+def test_a_crowd_that_was_made_for_other_ticks_is_refused() -> None:
+    """It would else stand still, and nobody would say why."""
+    person = EpisodePerson(number=1, identity="drawn:0:0", path=((0.0, 0.0), (4.0, 0.0)))
+    routes, state = build_routes([person], 10), empty_crowd(1, 1)
+    place_people(state, 0, routes, [0])
+    with pytest.raises(SimError, match="no room for them"):
+        step_crowd(state, routes, NO_WALLS, np.full((1, 3), -1.0), pace=find_pace(30))
 
 
 def test_deciding_each_tick_is_another_crowd(episodes) -> None:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.errors import SimError
 from gn0.geometry import F64
 from gn0.jit import njit, prange
 from gn0.maps.grid import OccupancyGrid
@@ -208,6 +209,9 @@ def step_crowd(
         agent: [E, 3] x, y [m] and radius [m] of each episode's agent; a negative radius is nobody.
         pace: length of the tick; the one that `empty_crowd` was told.
         radius: of people's discs [m].
+
+    Raises:
+        SimError: ticks cut moves, and `state` was made for others.
     """
     if pace.cuts > 1:
         _do_a_part(state, routes, walls, agent, pace, radius)
@@ -230,6 +234,11 @@ def _do_a_part(
 ) -> None:
     """A tick of a part of a decision's move, which is made first where it is time for one."""
     real, plan = state.real, state.plan
+    if plan.shape[:2] != real.shape[:2]:
+        raise SimError(
+            f"a tick cuts moves into {pace.cuts}, and the state has no room for them",
+            remedy="make it with empty_crowd(..., pace=pace)",
+        )
     if not plan.size:
         return
     rows = np.flatnonzero(plan[:, 0, PART] == 0.0)

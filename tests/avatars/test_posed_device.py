@@ -20,7 +20,8 @@ from gn0.geometry import F64, rotation_from_quaternion, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.posed import bring_rest, place_codes, pose_clouds, ready_poses
+from gn0.render.cuda.posed import bring_rest, pose_clouds, ready_poses
+from gn0.render.cuda.slot_finder import place_codes
 from gn0.render.cuda.posed_places import SLAB, Places, PosedPlaces
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions

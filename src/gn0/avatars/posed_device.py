@@ -37,14 +37,15 @@ from gn0.render.cuda.posed import (
     ReadyPoses,
     RestCloud,
     RestDevice,
-    SlotFinder,
     posed_bytes,
     row_width,
 )
+from gn0.render.cuda.slot_finder import LackingCodes, SlotFinder
 
 POSTURES = 128 * 2**20  # bytes on the host
 _LINGERS = 64  # calls for which those at rest outlast their clouds: bringing one takes ms
 _FADES = 256  # calls in which an asking comes to count half
+_AT_ONCE = 8  # a part of the budget of which more makes room than must: it is not asked each call
 FRAMES = 2**18  # boxes of postures at levels of detail, kept likewise
 _NAMES = 2**63  # from there on are codes of keys that are none
 _NAMES_MOST = 2**18  # keys whose codes are known, while others have no clouds
@@ -159,6 +160,7 @@ class PosedBankDevice:
 
     Attributes:
         hits, misses: how many clouds were there when they were asked for, and how many not.
+        ahead: how many were made before anybody asked for them, see `expect`.
         evicted: how many have made room for others.
         launches: that have filled it.
 
@@ -176,7 +178,7 @@ class PosedBankDevice:
                 remedy="give more than 0",
             )
         self.renderer, self.budget = renderer, budget
-        self.hits = self.misses = self.evicted = self.launches = 0
+        self.hits = self.misses = self.ahead = self.evicted = self.launches = 0
         self._held = CodeMap()  # slots
         self._named: dict[Hashable, int] = {}  # codes of keys that are none
         self._next_name = _NAMES
@@ -197,6 +199,9 @@ class PosedBankDevice:
         self._faded = 0  # the call to which those have faded
         self._finder = SlotFinder(renderer.device)
         self._stale = True  # whether the finder does not know what is held
+        self._asking: tuple[DeviceArray, DeviceArray, LackingCodes] | None = None
+        self._expected: LackingCodes | None = None
+        self._unread: DeviceArray | None = None  # slots of who is expected, which nobody reads
         weakref.finalize(self, _let_go, renderer, self._held).atexit = False
 
     def __len__(self) -> int:
@@ -265,7 +270,7 @@ class PosedBankDevice:
     def find(self, codes: DeviceArray, chosen: DeviceArray, poses: CodedPoses) -> int:
         """Write the slots of clouds that a kernel asks for, by codes as keys.
 
-        One small kernel and one word that comes back where all are here; else those that lack are
+        One small kernel and a copy that comes back where all are here; else those that lack are
         posed, all by one launch, and it looks again.
 
         Args:
@@ -279,8 +284,24 @@ class PosedBankDevice:
         Raises:
             RenderError, DeviceMemoryError: see `fetch`.
         """
+        self.ask(codes, chosen)
+        return self.answer(poses)
+
+    def ask(self, codes: DeviceArray, chosen: DeviceArray) -> None:
+        """Begin what `find` does; `answer` does the rest, and needs to wait the less the later."""
         self._call += 1
-        lacking = self._look(codes, chosen)
+        self._asking = codes, chosen, self._look(codes, chosen)
+
+    def answer(self, poses: CodedPoses) -> int:
+        """End what `ask` began; see `find`.
+
+        Raises:
+            RenderError, DeviceMemoryError: see `fetch`.
+        """
+        assert self._asking is not None
+        codes, chosen, looked = self._asking
+        self._asking = None
+        lacking = looked.numpy()
         self.misses += len(lacking)
         self.hits += len(codes) - len(lacking)
         if len(lacking):
@@ -288,22 +309,52 @@ class PosedBankDevice:
             self._look(codes, chosen)
         return len(lacking)
 
-    def _look(self, codes: DeviceArray, chosen: DeviceArray) -> U64:
+    def expect(self, codes: DeviceArray) -> None:
+        """Say by whom the next `find` may ask; `pose_expected` makes those that lack.
+
+        Args:
+            codes: as of `find`; what is here of them stays until then.
+        """
+        if self._unread is None or len(self._unread) != len(codes):
+            self._unread = self.renderer.device.empty(len(codes), np.int32)
+        self._expected = self._look(codes, self._unread, lane=1)
+        self._finder.send_uses()
+
+    def pose_expected(self, poses: CodedPoses) -> int:
+        """Make clouds that `expect` named and that are not here; how many.
+
+        To be called when the device has something else to do: all of it is done meanwhile.
+
+        Raises:
+            RenderError, DeviceMemoryError: see `fetch`.
+        """
+        if self._expected is None:
+            return 0
+        looked, self._expected = self._expected.numpy(), None
+        lacking = looked[self._held.find(looked) < 0]
+        self.ahead += len(lacking)
+        self._fill(lacking, poses)
+        return len(lacking)
+
+    def _look(self, codes: DeviceArray, chosen: DeviceArray, lane: int = 0) -> LackingCodes:
         if self._stale:
+            self._take_uses()
             slots = np.flatnonzero(self._codes)
             self._finder.set(self._codes[slots], slots.astype(np.int32), max(len(self._used), 1))
             self._stale = False
-        return self._finder.find(codes, chosen, self._call)
+        return self._finder.find(codes, chosen, self._call, lane=lane)
 
-    def _take_stamps(self) -> None:
-        """Learn from the device what was used when, and how often; once, before it forgets."""
-        stamps, asked = self._finder.uses()
-        if self._stale or not len(stamps):
-            return
+    def _take_uses(self) -> None:
+        """Learn from the device what was used when, and how often since this was learnt last."""
+        stamps, asked = self._finder.take_uses()
         count = min(len(stamps), len(self._used))
         np.maximum(self._used[:count], stamps[:count], out=self._used[:count])
         self._asked[:count] += asked[:count]
-        self._stale = True
+
+    def _tell(self, codes: U64, slots: NDArray[np.int64]) -> None:
+        """Have the finder know of codes what has changed."""
+        if not self._stale:
+            self._stale = not self._finder.hold(codes, slots.astype(np.int32))
 
     def _fade(self) -> None:
         """Let what was asked for before count less; all askings since count as of now."""
@@ -314,8 +365,6 @@ class PosedBankDevice:
         """Make the clouds of codes that are not held, each once, by one launch."""
         if not len(codes):
             return
-        self._fade()
-        self._take_stamps()
         postures = poses.postures(codes)
         framed, turned = self._frames.find(codes), self._postures.find(postures)
         known = (framed >= 0) & (turned >= 0)
@@ -344,7 +393,6 @@ class PosedBankDevice:
         ready = ReadyPoses(rows, frames["box"].copy(), frames["step"].copy())
         slots = np.array(self.renderer.pose_parts(rests, which, ready), np.int64)
         self.launches += 1
-        self._stale = True
         self._hold(codes, slots, frames["kind"])
         for kind in self._kinds:
             if kind.clouds:
@@ -388,6 +436,7 @@ class PosedBankDevice:
         self._codes[slots] = codes
         self._kind_of[slots], self._used[slots], self._asked[slots] = kinds, self._call, 1.0
         self._count(kinds, 1)
+        self._tell(codes, slots)
 
     def _count(self, kinds: NDArray[np.integer], more: int) -> None:
         """So many clouds of kinds are more, or less."""
@@ -401,6 +450,8 @@ class PosedBankDevice:
         over = self._bytes + wanted - self.budget
         if over <= 0:
             return
+        self._fade()
+        self._take_uses()
         held = np.flatnonzero(self._kind_of >= 0)
         spare = held[self._used[held] != self._call]
         sizes = np.array([kind.size for kind in self._kinds])[self._kind_of[spare]]
@@ -408,7 +459,9 @@ class PosedBankDevice:
         order = np.lexsort((-self._used[spare], rate))
         spare, sizes = spare[order], sizes[order]
         room = np.cumsum(sizes)
-        gone = spare[: int(np.searchsorted(room, over)) + 1]
+        enough = int(np.searchsorted(room, over)) + 1
+        ample = int(np.searchsorted(room, over + self.budget // _AT_ONCE, "right"))
+        gone = spare[: max(enough, ample)]
         if not self._warned and over > sizes.sum():
             self._warned = True
             warnings.warn(
@@ -420,11 +473,11 @@ class PosedBankDevice:
             )
         slots = gone.tolist()
         self._held.drop(self._codes[gone])
+        self._tell(self._codes[gone], np.full(len(gone), -1))
         self._count(self._kind_of[gone], -1)
         self._kind_of[gone], self._codes[gone] = -1, 0
         self.renderer.drop_parts(slots)
         self.evicted += len(slots)
-        self._stale = True
 
 
 def _let_go(renderer: HoldsParts, held: CodeMap) -> None:

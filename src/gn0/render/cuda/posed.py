@@ -24,7 +24,7 @@ from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32, F64
 from gn0.jit import njit, prange
 from gn0.render.cuda.cloud import PACKED, CloudDevice, CloudLabels
-from gn0.render.cuda.records import FindSlots, PoseSplats
+from gn0.render.cuda.records import PoseSplats
 from gn0.render.cuda.tables import CHUNK, CLOUD
 from gn0.render.instance import PART_SPLATS_MAX
 from gn0.render.renderer import ALPHA_MIN, EXTENT_MAX
@@ -36,7 +36,6 @@ _STEPS = 2**20 - 1
 _LEAST = ALPHA_MIN / 2  # opacity
 _SLACK = 1e-4  # m: rounding
 _JOINTS, _OF_JOINT, _INFLUENCES = 55, 16, 4
-_MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
 _WORD, _FLOAT = np.dtype(np.uint32), np.dtype(np.float32)
 _ON_FLOOR, _PADDING = -2.0, -1.0  # instead of extents
 _POSING = np.dtype(
@@ -388,73 +387,6 @@ def posed_cloud(
         step=step,
         bounds=box,
     )
-
-
-class SlotFinder:
-    """Slots of codes by a hash table on the device.
-
-    Args:
-        device: where.
-    """
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._places = 0
-        self._held: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
-
-    def set(self, codes: NDArray[np.uint64], slots: NDArray[np.int32], most: int) -> None:
-        """Say which code, above 0, is in which slot below `most`; stamps of before are lost."""
-        self._places = 1 << max(2 * len(slots), 16).bit_length()
-        keys, found = place_codes(codes, slots, self._places)
-        upload = self._device.upload
-        self._held = upload(keys), upload(found), self._device.zeros((2, most), np.uint32)
-
-    def find(self, codes: DeviceArray, chosen: DeviceArray, stamp: int) -> NDArray[np.uint64]:
-        """Write the slots of codes uint64 [I] to int32 [I]; 0 and those that are in none: -1.
-
-        Returns:
-            The codes that are in none, once each, in ascending order.
-        """
-        assert self._held is not None
-        keys, slots, uses = self._held
-        count = len(codes)
-        missing = self._device.empty(count + 1, np.uint64)
-        self._device.fill(missing[:1], 0)
-        record = FindSlots(
-            *(codes, np.uint32(count), keys, slots, np.uint32(self._places)),
-            *(np.uint32(stamp), uses[0], uses[1], chosen, missing),
-        )
-        self._device.load(SOURCE)["find_slots"].launch(-(-count // 128), 128, record)
-        lacking = int(missing[:1].numpy()[0])
-        if not lacking:
-            return np.zeros(0, np.uint64)
-        return np.unique(missing[1 : 1 + lacking].numpy())
-
-    def uses(self) -> NDArray[np.uint32]:
-        """When each slot was last found, and by how many stamps, since `set` [2, slots]."""
-        return np.zeros((2, 0), np.uint32) if self._held is None else self._held[2].numpy()
-
-
-def place_codes(
-    codes: NDArray[np.uint64], which: NDArray[np.int32], places: int
-) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    """A hash table of codes and their slots as `find_slots` reads it, of a power of two of places.
-
-    Each code lies in the first free place from its own on, and no place between is free.
-    """
-    keys, found = np.zeros(places, np.uint64), np.full(places, -1, np.int32)
-    _place_codes(codes, which, keys, found)
-    return keys, found
-
-
-@njit
-def _place_codes(codes, which, keys, found):  # type: ignore[no-untyped-def]
-    last = keys.shape[0] - 1
-    for n in range(codes.shape[0]):
-        at = np.int64((codes[n] * np.uint64(_MIX)) >> np.uint64(32)) & last
-        while keys[at] != np.uint64(0):
-            at = (at + 1) & last
-        keys[at], found[at] = codes[n], which[n]
 
 
 @njit(parallel=True)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
+from gn0.jit import njit
 
 SLAB = 2 * 2**20  # bytes of a slab at least
 SLAB_MOST = 64 * 2**20  # and at most, unless one place is larger
@@ -39,25 +40,26 @@ class _Shelf:
     Attributes:
         room: bytes of a place.
         slabs: by number; None where one went.
-        pointers, numbers: of the places that are free, and in which slab each is.
-        left, whole: places of each slab that are free, and all of them.
+        free: of each slab its places that are free, those given back last at the end; as many as
+            it has places, one slab behind the other.
+        firsts: where each slab begins there.
+        left, whole: how many of each are free, and all of its places.
     """
 
     def __init__(self, room: int) -> None:
         self.room = room
         self.slabs: list[DeviceArray | None] = []
-        self.pointers = np.zeros(0, np.uint64)
-        self.numbers = np.zeros(0, np.int64)
+        self.free = np.zeros(0, np.uint64)
+        self.firsts = np.zeros(0, np.int64)
         self.left = np.zeros(0, np.int64)
         self.whole = np.zeros(0, np.int64)
 
     def add(self, memory: DeviceArray) -> None:
         """Take a new slab in, all of it free."""
         starts = np.arange(0, memory.nbytes - self.room + 1, self.room, dtype=np.uint64)
-        pointers = np.uint64(memory.pointer) + starts
-        self.pointers = np.append(self.pointers, pointers)
-        self.numbers = np.append(self.numbers, np.full(len(pointers), len(self.slabs)))
-        self.left, self.whole = (np.append(old, len(pointers)) for old in (self.left, self.whole))
+        self.firsts = np.append(self.firsts, len(self.free))
+        self.free = np.append(self.free, np.uint64(memory.pointer) + starts)
+        self.left, self.whole = (np.append(old, len(starts)) for old in (self.left, self.whole))
         self.slabs.append(memory)
 
     def take(self, count: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
@@ -65,18 +67,13 @@ class _Shelf:
 
         Of a slab those that were given back last.
         """
-        order = len(self.numbers) - 1 - np.argsort(self.left[self.numbers[::-1]], kind="stable")
-        chosen, kept = order[:count], np.sort(order[count:])
-        pointers, numbers = self.pointers[chosen], self.numbers[chosen]
-        self.pointers, self.numbers = self.pointers[kept], self.numbers[kept]
-        self.left -= np.bincount(numbers, minlength=len(self.slabs))
+        pointers, numbers = np.empty(count, np.uint64), np.empty(count, np.int64)
+        _take_places(self.free, self.firsts, self.left, pointers, numbers)
         return pointers, numbers
 
     def give(self, pointers: NDArray[np.uint64], numbers: NDArray[np.int64]) -> None:
         """Have places free again."""
-        self.pointers = np.append(self.pointers, pointers)
-        self.numbers = np.append(self.numbers, numbers)
-        self.left += np.bincount(numbers, minlength=len(self.slabs))
+        _give_places(self.free, self.firsts, self.left, pointers, numbers)
 
     def empties(self) -> NDArray[np.int64]:
         """Slabs none of whose places is held."""
@@ -88,17 +85,13 @@ class _Shelf:
 
     def release(self, over: int) -> int:
         """Let go of such slabs until so many bytes are; how many were."""
-        gone, freed = [], 0
+        freed = 0
         for number in self.empties().tolist():
             if freed >= over:
                 break
             freed += self.room * int(self.whole[number])
-            gone.append(number)
             self.slabs[number] = None
-        if gone:
-            kept = ~np.isin(self.numbers, gone)
-            self.pointers, self.numbers = self.pointers[kept], self.numbers[kept]
-            self.left[gone] = self.whole[gone] = 0
+            self.left[number] = self.whole[number] = 0
         return freed
 
 
@@ -142,7 +135,7 @@ class PosedPlaces:
                 if number == len(self._shelves):
                     self._shelves.append(_Shelf(room))
                 shelf = self._shelves[number]
-                while (lack := len(mine) - len(shelf.pointers)) > 0:
+                while (lack := len(mine) - int(shelf.left.sum())) > 0:
                     self._add(shelf, lack)
                 pointers, slabs = shelf.take(len(mine))
                 found.pointers[mine], found.handles[mine] = pointers, number << _SHELF | slabs
@@ -173,3 +166,25 @@ def _room(size: int) -> int:
     """A size rounded up by at most an eighth, so that people of about a size share slabs."""
     grain = max(_GRAIN, 1 << max((size - 1).bit_length() - 4, 0))
     return -(-size // grain) * grain
+
+
+@njit
+def _take_places(free, firsts, left, pointers, numbers):  # type: ignore[no-untyped-def]
+    at = 0
+    while at < pointers.shape[0]:
+        best = -1
+        for slab in range(left.shape[0]):
+            if left[slab] > 0 and (best < 0 or left[slab] < left[best]):
+                best = slab
+        while at < pointers.shape[0] and left[best] > 0:
+            left[best] -= 1
+            pointers[at], numbers[at] = free[firsts[best] + left[best]], best
+            at += 1
+
+
+@njit
+def _give_places(free, firsts, left, pointers, numbers):  # type: ignore[no-untyped-def]
+    for n in range(pointers.shape[0]):
+        slab = numbers[n]
+        free[firsts[slab] + left[slab]] = pointers[n]
+        left[slab] += 1

@@ -342,6 +342,17 @@ class FindSlots(NamedTuple):
     missing: DeviceArray
 
 
+class HoldSlots(NamedTuple):
+    """`hold_slots`: in which slots of a bank codes are from now on."""
+
+    codes: DeviceArray
+    given: DeviceArray
+    count_: np.uint32
+    keys: DeviceArray
+    slots: DeviceArray
+    places: np.uint32
+
+
 class CountSeen(NamedTuple):
     """`count_seen`: pixels that show each instance, those that it has alone, and their box."""
 

@@ -155,3 +155,18 @@ KERNEL(find_slots)(const u64 *__restrict__ codes, u32 count, const u64 *__restri
   }
   chosen[i] = found;
 }
+
+// Put codes [count], once each, into the table of `find_slots`, each with the slot it was given, or
+// HASH_NONE: it is in none from now on, and its place stays taken.
+KERNEL(hold_slots)(const u64 *__restrict__ codes, const u64 *__restrict__ given, u32 count, u64 *keys,
+                   int *slots, u32 places) {
+  u32 i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= count) return;
+  u64 code = codes[i], mixed = code * 0x9e3779b97f4a7c15ull;
+  for (u32 at = (u32)(mixed >> 32) & (places - 1);; at = (at + 1) & (places - 1)) {
+    u64 old = atomicCAS(keys + at, (u64)NOBODY, code);
+    if (old != NOBODY && old != code) continue;
+    slots[at] = (int)(i64)given[i];
+    return;
+  }
+}

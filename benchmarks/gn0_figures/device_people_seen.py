@@ -55,7 +55,7 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
     envs: dict[str, VectorEnvDevice] = {}
     calls: dict[str, Contender] = {}
     taken: dict[str, int] = {}
-    seen: dict[str, list[tuple[int, int]]] = {}
+    seen: dict[str, list[tuple[int, int, int]]] = {}
     for people in (0, *shares):
         name = str(people)
         before = memory_left(ctx.device)
@@ -105,7 +105,7 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
         name = str(people)
         share = float(np.median(none / np.array(times[name])))
         last, first = seen[name][-1], seen[name][-1 - rounds]
-        hits, misses = last[0] - first[0], last[1] - first[1]
+        hits, misses, ahead = (after - before for after, before in zip(last, first, strict=True))
         eyes: Any = envs[name]._eyes
         posed = eyes.people.posed
         detail = (
@@ -113,8 +113,9 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
             f"{taken[name] / 2**20:.0f} MB of the device more, of them people "
             f"{envs[name].memory['people'] / 2**20:.0f} MB and posed ones "
             f"{posed.bytes / 2**20:.0f} MB, at rest {posed.rest_bytes / 2**20:.0f} MB; "
-            f"{misses / rounds / steps:.1f} clouds posed a step, hit rate "
-            f"{hits / max(hits + misses, 1):.4f}, {posed.evicted} made room"
+            f"{ahead / rounds / steps:.1f} clouds posed ahead of a step and "
+            f"{misses / rounds / steps:.1f} in it, hit rate {hits / max(hits + misses, 1):.4f}, "
+            f"{posed.evicted} made room"
         )
         title = f"env-steps with {people} who walk over those with nobody"
         if tiny:
@@ -150,10 +151,13 @@ def _walk_by_turns(
     return times, warm
 
 
-def _found(env: VectorEnvDevice) -> tuple[int, int]:
-    """How many posed people were there, and how many not, so far."""
+def _found(env: VectorEnvDevice) -> tuple[int, int, int]:
+    """How many posed people were there, how many not, and how many were posed ahead, so far."""
     eyes: Any = env._eyes
-    return (0, 0) if eyes.people is None else (eyes.people.posed.hits, eyes.people.posed.misses)
+    if eyes.people is None:
+        return 0, 0, 0
+    posed = eyes.people.posed
+    return posed.hits, posed.misses, posed.ahead
 
 
 def _people_of_flat(

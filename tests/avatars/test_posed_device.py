@@ -13,6 +13,7 @@ from gn0.avatars.avatar import SHADOWS, Avatar
 from gn0.avatars.coded_poses import PosesOneByOne
 from gn0.avatars.posed_device import PosedBankDevice, posing_of, posings_of, rest_of
 from gn0.avatars.poses import standing_pose, stride_pose
+from gn0.device.device import DeviceArray
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
@@ -21,8 +22,8 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.posed import bring_rest, pose_clouds, ready_poses
-from gn0.render.cuda.slot_finder import place_codes
 from gn0.render.cuda.posed_places import SLAB, Places, PosedPlaces
+from gn0.render.cuda.slot_finder import SlotFinder, place_codes
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
@@ -248,6 +249,60 @@ def test_who_was_found_by_a_kernel_counts_as_used(batch: RendererBatch) -> None:
     for code in (1, 2, 1, 3):
         bank.find(device.upload(np.array([code], np.uint64)), chosen, poses)
     assert 1 in bank and 3 in bank and 2 not in bank
+
+
+def test_who_is_expected_is_there_when_asked_for(batch: RendererBatch) -> None:
+    """And nobody is posed twice, nor makes room for others before."""
+    device, one = batch.device, PosedBankDevice(batch)
+    one.fetch([(1, Posture())])
+    bank = PosedBankDevice(batch, budget=3 * one.bytes)
+    chosen = device.empty(2, np.int32)
+    poses = PosesOneByOne(lambda code: Posture(0.1 * code))
+
+    def send(*codes: int) -> DeviceArray:
+        return device.upload(np.array(codes, np.uint64))
+
+    bank.find(send(1, 0), chosen, poses)
+    bank.ask(send(2, 1), chosen)
+    bank.expect(send(2, 3))
+    assert bank.answer(poses) == 1 and bank.pose_expected(poses) == 1, "2 is there by then"
+    assert bank.pose_expected(poses) == 0 and (bank.ahead, bank.misses) == (1, 2)
+    assert bank.find(send(3, 2), chosen, poses) == 0 and len(bank) == 3
+    bank.expect(send(2, 4))
+    assert bank.pose_expected(poses) == 1 and 1 not in bank, "it was not asked for again"
+    assert bank.find(send(2, 4), chosen, poses) == 0 and chosen.numpy().min() >= 0
+    small = PosedBankDevice(batch, budget=2 * one.bytes)
+    small.find(send(1, 2), chosen, poses)
+    small.expect(send(1, 2))
+    assert small.find(send(2, 3), chosen, poses) == 1
+    assert chosen.numpy().min() >= 0 and 1 not in small, "who is asked for now stays"
+
+
+def test_a_table_learns_what_comes_and_goes(batch: RendererBatch) -> None:
+    """Thousands of codes, of which a part goes each time: slots are those of a table laid anew."""
+    device, finder = batch.device, SlotFinder(batch.device)
+    drawn = np.random.default_rng(0)
+    held: dict[int, int] = {}
+    free, next_code, laid = list(range(600)), 1, 0
+    for _ in range(60):
+        gone = [*held][: len(held) // 3]
+        free += [held.pop(code) for code in gone]
+        codes = [next_code + 97 * k for k in range(int(drawn.integers(1, 120)))]
+        next_code = codes[-1] + 1
+        new = dict(zip(codes, free, strict=False))
+        free = free[len(new) :]
+        held |= new
+        told = np.array([*gone, *new], np.uint64), np.array([-1] * len(gone) + [*new.values()])
+        if not finder.hold(told[0], told[1].astype(np.int32)):
+            laid += 1
+            finder.set(np.array([*held], np.uint64), np.array([*held.values()], np.int32), 600)
+        wanted = np.array([*held, *gone, 0], np.uint64)
+        chosen = device.empty(len(wanted), np.int32)
+        lacking = finder.find(device.upload(wanted), chosen, 1).numpy()
+        assert chosen.numpy().tolist() == [*held.values()] + [-1] * (len(gone) + 1)
+        assert lacking.tolist() == sorted(gone)
+    assert 1 < laid < 20
+    assert not finder.hold(np.array([5], np.uint64), np.array([600], np.int32)), "no such slot"
 
 
 @pytest.mark.parametrize("by_kernel", [False, True])

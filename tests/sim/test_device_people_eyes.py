@@ -121,7 +121,8 @@ def check_shown(env, cast, episodes, infos) -> list[Shown]:
 def show_alone(env, monkeypatch) -> None:
     """From now on it is found how people look, but nobody is posed or drawn."""
     drawn, people = env._eyes.draw(env.simulator), env._eyes.people
-    monkeypatch.setattr(people.posed, "find", lambda *_: 0)
+    monkeypatch.setattr(people.posed, "ask", lambda *_: None)
+    monkeypatch.setattr(people.posed, "answer", lambda *_: 0)
     monkeypatch.setattr(env._eyes, "draw", lambda simulator: people.show(simulator) and drawn)
 
 
@@ -248,6 +249,25 @@ def test_pictures_show_people_as_the_vector_env_s(episodes, bank, preset, monkey
         met |= set(np.unique(mine["who"].numpy()).tolist())
         mine, theirs = env.step(np.array(row))[0], twin.step(np.array(row))[0]
     assert met == {0, 2, 3, 4, 7}
+
+
+def test_who_is_posed_ahead_is_seen_the_same(episodes, bank, preset) -> None:
+    """Of what a step shows anew most was posed while the one before was drawn."""
+    one, two = (open_device_env(episodes, bank, preset) for _ in range(2))
+    assert not one._eyes.people.ahead  # on the emulation
+    two._eyes.people.ahead = True
+    posed = [env._eyes.people.posed for env in (one, two)]
+    names = [e.id for e in episodes]
+    seen = [env.reset(seed=0, options={"episode": names})[0] for env in (one, two)]
+    begun = [bank.misses for bank in posed]
+    for row in ([2, 2, 2], [1, 1, 1], [3, 1, 0], [1, 2, 1], [1, 1, 3], [1, 1, 1]):
+        for name in ("rgb", "depth"):
+            np.testing.assert_array_equal(*(obs[name].numpy() for obs in seen))
+        states = (env.simulator.company.read_state("real") for env in (one, two))
+        np.testing.assert_array_equal(*states)
+        seen = [env.step(np.array(row))[0] for env in (one, two)]
+    lacked = [bank.misses - before for bank, before in zip(posed, begun, strict=True)]
+    assert posed[0].ahead == 0 < posed[1].ahead and 2 * lacked[1] < lacked[0]
 
 
 def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> None:

@@ -290,6 +290,8 @@ class PosedBankDevice:
     def ask(self, codes: DeviceArray, chosen: DeviceArray) -> None:
         """Begin what `find` does; `answer` does the rest, and needs to wait the less the later."""
         self._call += 1
+        if self._finder.sends:  # what was used by the call before: not who is by this one
+            self._take_uses()
         self._asking = codes, chosen, self._look(codes, chosen)
 
     def answer(self, poses: CodedPoses) -> int:

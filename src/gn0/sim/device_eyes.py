@@ -249,6 +249,8 @@ class EyesDevice:
             self._rgb = agents.pictures.get("rgb")
         out = {name: read(agents) for name, _, read in shown}
         assert all(len(value) == simulator.count for value in out.values())
+        if self.people is not None:
+            self.people.pose_ahead()
         return out
 
     def draw_final(self, simulator: SimulatorDevice) -> dict[str, Any]:

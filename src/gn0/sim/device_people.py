@@ -85,6 +85,7 @@ class CompanyDevice:
         self._kernels: Mapping[str, Kernel] = {}
         self._state: dict[str, DeviceArray] = {}
         self._crowd: np.void | None = None
+        self._later: tuple[np.void, dict[str, DeviceArray]] | None = None
 
     def __bool__(self) -> bool:
         return self.places > 0
@@ -96,7 +97,9 @@ class CompanyDevice:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return sum(array.nbytes for array in (self._state | self.outputs).values())
+        arrays = [*(self._state | self.outputs).values()]
+        arrays += [] if self._later is None else [*self._later[1].values()]
+        return sum(array.nbytes for array in arrays)
 
     @property
     def crowd(self) -> np.void:
@@ -154,7 +157,7 @@ class CompanyDevice:
                     self._simulator.copy(array, told[name])
                 else:
                     self._device.upload(_pad(array.numpy(), told[name].numpy()), told[name])
-        self._state, self.outputs, self.places = fresh, told, places
+        self._state, self.outputs, self.places, self._later = fresh, told, places, None
         self._crowd = pack_struct(
             CROWD,
             **fresh,
@@ -193,6 +196,28 @@ class CompanyDevice:
     def move(self, codes: DeviceArray) -> None:
         """Everybody through the ticks of an action each, and agents that go ahead with them."""
         self.run("move_people", MovePeople(self._simulator.world, self.crowd, codes))
+
+    def look_ahead(self) -> np.void:
+        """The struct `Crowd` of where people will be after an action in which agents stand still.
+
+        Their state does not change. It holds until the next call.
+        """
+        if self._later is None:
+            device, state = self._device, self._state
+            own = {name: device.empty(array.shape, array.dtype) for name, array in state.items()}
+            for name, _ in CROWD_FIELDS:
+                told = self.outputs[name]
+                own[name] = device.empty(told.shape, told.dtype)
+            crowd = self.crowd.copy()
+            for name, array in own.items():
+                crowd[name] = array.pointer
+            own["codes"] = device.zeros(self._simulator.count, np.uint8)  # STOP
+            self._later = crowd, own
+        crowd, own = self._later
+        for name in ("real", "whole"):
+            self._simulator.copy(self._state[name], own[name])
+        self.run("move_people", MovePeople(self._simulator.world, crowd, own["codes"]))
+        return crowd
 
     def step(self, codes: DeviceArray, out: np.void) -> None:
         """Take one action each; `out` is the struct `Outputs`."""

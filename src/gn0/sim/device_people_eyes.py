@@ -8,7 +8,7 @@ it, so that nothing of it passes through the host while nobody looks anew.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
 from gn0.avatars.posed_bank import BUDGET, NEARER
 from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
-from gn0.device.device import DeviceArray
+from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError
 from gn0.geometry import F32, F64
 from gn0.missions.episode import Episode
@@ -65,6 +65,8 @@ class PeopleEyesDevice:
     Attributes:
         codes: what kernels say of people.
         posed: the posed clouds.
+        ahead: whether those of the next step are posed while this one is drawn, as far as they can
+            be foreseen. It changes no picture.
 
     Raises:
         ConfigError: this renderer holds no posed clouds.
@@ -95,8 +97,10 @@ class PeopleEyesDevice:
         ]
         # depths before a camera that looks up or down grow with the height of what it sees
         self._sides = widest, _HIGH * math.tan(abs(pitch))
+        self.ahead = renderer.device.kind == "cuda"
         self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
         self._shown: tuple[DeviceArray, ...] | None = None
+        self._next: tuple[DeviceArray, ...] | None = None
 
     def check(self, episode: Episode) -> None:
         """Refuse people whom nobody can play.
@@ -162,23 +166,43 @@ class PeopleEyesDevice:
         each = company.places
         count = simulator.count * each
         if self._shown is None or len(self._shown[0]) != count:
-            self._shown = (
-                device.zeros(count, np.uint64),
-                device.zeros((count, 4, 4), np.float64),
-                device.zeros((count, 4, 3), np.float32),
-                device.zeros(count, np.int32),
-                device.upload(np.full(count, NEARER, np.float32)),
-            )
+            more = device.zeros(count, np.int32), device.upload(np.full(count, NEARER, np.float32))
+            self._shown, self._next = (*_new_looks(device, count), *more), None
         if self._tables is None:
             turns = [row * PIVOT / PIVOT_ROWS for row in range(PIVOT_ROWS + 1)]
             # the host's own, so that poses have its bits
             table = [(math.cos(turn), math.sin(turn)) for turn in turns]
             self._tables = device.upload(np.array(self._from)), device.upload(np.array(table))
-        levels, turned = self._tables
         codes, poses, gains, chosen, nearer = self._shown
+        self._find(simulator, company.crowd, (codes, poses, gains))
+        self.posed.ask(codes, chosen)
+        if self.ahead:  # before anybody waits
+            self._next = self._next or _new_looks(device, count)
+            self._find(simulator, company.look_ahead(), self._next)
+            self.posed.expect(self._next[0])
+        self.posed.answer(self.codes)
+        return PartsDevice(None, poses, chosen, each, gains, nearer)
+
+    def pose_ahead(self) -> None:
+        """Pose who will be seen next; the device draws what is seen now meanwhile.
+
+        Raises:
+            RenderError, DeviceMemoryError: see `PosedBankDevice.fetch`.
+        """
+        if self.ahead:
+            self.posed.pose_expected(self.codes)
+
+    def _find(
+        self, simulator: SimulatorDevice, crowd: np.void, looks: Sequence[DeviceArray]
+    ) -> None:
+        """Write who is seen how, and from where, to codes, poses and gains."""
+        assert self._tables is not None
+        company = simulator.company
+        levels, turned = self._tables
+        codes, poses, gains = looks
         showing = ShowPeople(
             w=simulator.world,
-            c=company.crowd,
+            c=crowd,
             from_=levels,
             levels=np.int32(len(self._from)),
             turns=turned,
@@ -188,6 +212,14 @@ class PeopleEyesDevice:
             poses=poses,
             gains=gains,
         )
+        count = simulator.count * company.places
         company.kernels["show_people"].launch(blocks_of(count), THREADS, showing)
-        self.posed.find(codes, chosen, self.codes)
-        return PartsDevice(None, poses, chosen, each, gains, nearer)
+
+
+def _new_looks(device: Device, count: int) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
+    """Codes, poses and gains of so many people."""
+    return (
+        device.zeros(count, np.uint64),
+        device.zeros((count, 4, 4), np.float64),
+        device.zeros((count, 4, 3), np.float32),
+    )

@@ -101,6 +101,11 @@ class SlotFinder:
         self._device.load(SOURCE)["find_slots"].launch(-(-count // _THREADS), _THREADS, record)
         return LackingCodes(self._device.download_async(missing, here))
 
+    @property
+    def sends(self) -> bool:
+        """Whether `send_uses` began what nobody has taken."""
+        return self._uses is not None
+
     def send_uses(self) -> None:
         """Begin what `take_uses` waits for, before the device has much else to do."""
         if self._held is None or self._uses is not None:

@@ -80,12 +80,24 @@ class Speed(Config, frozen=True):
         joined, narrow: see `ForwardConstant`.
         beside: steps have a CUDA stream of their own, so that the next samples are made meanwhile;
             not where the policy in training drives.
+        fsdp: each process keeps its part of all weights, gradients and of what the optimiser
+            remembers, instead of all of them; see `sharding`.
     """
 
     graph: Literal["blocks", "whole", "tuned"] = "blocks"
     joined: bool = False
     narrow: bool = False
     beside: bool = False
+    fsdp: bool = False
+
+    def __post_init__(self) -> None:
+        if self.fsdp and (self.graph != "blocks" or self.joined or self.beside):
+            raise ConfigError(
+                "weights that lie in parts are gathered block by block: none of whole, tuned, "
+                "joined and beside goes with fsdp",
+                where="speed",
+                remedy="leave out --speed, or --fsdp",
+            )
 
 
 BY_LAYER = Speed()

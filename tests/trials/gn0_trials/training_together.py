@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from gn0.data.answer_form import AnswerForm
 from gn0.policies.bae.checkpoint import Checkpoint
@@ -18,6 +21,7 @@ from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import build_pupil
 from gn0.training.recipe import Recipe
 from gn0.training.runs.training_state import load_state
+from gn0.training.sharding import open_mesh, own_part, shard_blocks
 from gn0.training.stage import Stage, StagePlan
 from gn0.training.streams.samples import SampleBatch
 from gn0_trials.pupil_small import TEXTS, PupilSmall, draw_states, make_words
@@ -82,7 +86,18 @@ def learn_inputs(folder: Path, samples: int) -> None:
         Stage(pupil, learner, stream, maker, plan, {}, "c", mixture=mixture).run(run, print)
 
 
-def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
+def count_held(learner: Learner[Any, Any]) -> dict[str, int]:
+    """Numbers that this process holds: of weights, averaged weights and the optimiser's states."""
+    remembered = [one for kept in learner.optimiser.state.values() for one in kept.values()]
+    held = {
+        "weights": learner.weights.values(),
+        "averaged": learner.averaged.values(),
+        "optimiser": [one for one in remembered if one.ndim],
+    }
+    return {name: sum(own_part(one).numel() for one in some) for name, some in held.items()}
+
+
+def learn(folder: Path, samples: int, dies_at: int = -1, *, fsdp: bool = False) -> None:
     """Learn from so many samples, in whatever processes the environment speaks of."""
     pupil = PupilSmall(make_words())
     with (
@@ -94,6 +109,8 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
     ):  # fmt: skip
         state = load_state(run.resumed) if run.resumed else None
         model = state.checkpoint.model.train() if state else pupil.model
+        if fsdp:
+            shard_blocks(model, open_mesh(processes, torch.device("cpu")))
         loss = LossForward(pupil.forward_of(model), pupil.slots, RECIPE)
         learner: Learner[SampleBatch, Losses] = Learner(loss, RECIPE, processes=processes)
         plan = StagePlan(samples=samples, report=1, save=2)
@@ -103,6 +120,9 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
         if state is not None:
             stage.restore(state)
         stage.run(run, print)
+        held = processes.gather(count_held(learner), torch.device("cpu"))
+        if processes.leads:
+            (folder / "held.json").write_text(json.dumps(held))
     if hasattr(learner._called, "reducer"):
         sys.exit("the reducer outlives its group: closing it may hang")
 
@@ -111,4 +131,5 @@ if __name__ == "__main__":
     if "inputs" in sys.argv[4:]:
         learn_inputs(Path(sys.argv[1]), int(sys.argv[2]))
     else:
-        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
+        own = "fsdp" in sys.argv[4:]
+        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), fsdp=own)

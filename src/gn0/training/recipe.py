@@ -103,11 +103,15 @@ class Speed(Config, frozen=True):
 BY_LAYER = Speed()
 
 
-def parse_speed(words: Sequence[str]) -> Speed:
+def parse_speed(words: Sequence[str], *, fsdp: bool = False) -> Speed:
     """The speed that words name: any of joined, narrow and beside, and at most one graph.
 
+    Args:
+        words: of `--speed`.
+        fsdp: see `Speed`.
+
     Raises:
-        ConfigError: another word, or two graphs.
+        ConfigError: another word, two graphs, or what does not go with `fsdp`.
     """
     known = set(words)
     graphs = known & {"blocks", "whole", "tuned"}
@@ -119,4 +123,4 @@ def parse_speed(words: Sequence[str]) -> Speed:
             remedy="give one of blocks, whole and tuned, and any of joined, narrow and beside",
         )
     graph = next(iter(graphs), "blocks")
-    return msgspec.convert({"graph": graph, **dict.fromkeys(more, True)}, Speed)
+    return Speed(graph=graph, fsdp=fsdp, **dict.fromkeys(more, True))  # type: ignore[arg-type]

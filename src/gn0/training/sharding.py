@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MethodType
 from typing import Any
 
@@ -121,7 +122,7 @@ def gather_into(
     own = {} if model is None else dict(model.named_parameters())
     with torch.no_grad():
         for name, weight in sharded.named_parameters():
-            whole = processes.ask(lambda weight=weight: _whole(weight))  # type: ignore[misc]
+            whole = processes.ask(partial(_whole, weight))
             if model is not None:
                 own[name].copy_(whole)
 
@@ -231,7 +232,7 @@ def _gather_each(
         if not isinstance(array, DTensor):
             yield name, array
             continue
-        whole = processes.ask(lambda array=array: _whole(array))  # type: ignore[misc]
+        whole = processes.ask(partial(_whole, array))
         if processes.leads:
             yield name, whole.cpu()
         del whole  # before the next: one at a time lies whole on a card

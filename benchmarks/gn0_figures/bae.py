@@ -67,6 +67,7 @@ def build_4b() -> Qwen3VLForConditionalGeneration:
 
 
 def lay_out(model: Any, sizes: list[PictureSize], words: int) -> PromptLayout:
+    """Prompts with these pictures and so many words."""
     parts: list[int | PictureSize] = [1]
     for size in sizes:
         parts += [2, size, 3]

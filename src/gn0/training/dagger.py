@@ -93,7 +93,7 @@ class DaggerJob(ImitationJob, frozen=True, kw_only=True):
             raise ConfigError(
                 "agents that act with weights that lie in parts",
                 where="fsdp",
-                remedy="leave out --fsdp, or learn from a dataset that was collected before (--source dataset)",
+                remedy="leave out --fsdp, or learn from a dataset (--source dataset)",
             )
         if len(self.joins) > 1 or self.joins[0]:
             raise ConfigError(

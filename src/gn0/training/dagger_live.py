@@ -81,7 +81,7 @@ class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
             raise ConfigError(
                 "agents that act with weights that lie in parts",
                 where="fsdp",
-                remedy="leave out --fsdp, or learn from a dataset (gn0 train dagger --source dataset)",
+                remedy="leave out --fsdp, or learn from a dataset (without --live)",
             )
         if self.beta_to < self.beta_from:
             raise ConfigError(

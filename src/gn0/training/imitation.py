@@ -31,7 +31,7 @@ from gn0.training.processes import join_processes
 from gn0.training.pupil import Pupil, open_pupil, resize_texts
 from gn0.training.recipe import BY_LAYER, RECIPES, Recipe, Speed
 from gn0.training.runs.training_state import TrainingState, load_state
-from gn0.training.sharding import open_mesh, shard_blocks
+from gn0.training.sharding import open_mesh, refuse_alone, shard_blocks
 from gn0.training.stage import StagePlan
 from gn0.training.stage_run import PolicyJob, StageRun, open_place, open_stage_run
 from gn0.training.streams.picture_jitter import PictureJitter
@@ -218,6 +218,8 @@ def open_imitation(
         DeviceError, StorageError: see their texts.
     """
     with join_processes(device) as processes:
+        if job.speed.fsdp:
+            refuse_alone(processes)
         place = open_place(device, say, processes, walks=not job.reads_dataset)
         if not job.reads_dataset:
             wait_for_suites(job.lots[0], place.say)

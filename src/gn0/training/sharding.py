@@ -26,7 +26,7 @@ from torch.distributed.fsdp import (
     fully_shard,
     register_fsdp_forward_method,
 )
-from torch.distributed.tensor import DTensor, distribute_tensor
+from torch.distributed.tensor import DTensor
 from transformers import Qwen3VLForConditionalGeneration
 
 from gn0.errors import ConfigError
@@ -43,13 +43,22 @@ def open_mesh(processes: Processes, where: torch.device) -> DeviceMesh:
     Raises:
         ConfigError: one process alone, which has nobody to share with.
     """
+    refuse_alone(processes)
+    return init_device_mesh(where.type, (processes.count,))
+
+
+def refuse_alone(processes: Processes) -> None:
+    """Refuse to share out weights among one process.
+
+    Raises:
+        ConfigError: it is alone.
+    """
     if processes.count == 1:
         raise ConfigError(
             "weights of one process cannot be shared out",
             where="fsdp",
             remedy="start it by torchrun on several cards, or leave out --fsdp",
         )
-    return init_device_mesh(where.type, (processes.count,))
 
 
 def shard_blocks(model: Qwen3VLForConditionalGeneration, mesh: DeviceMesh) -> None:
@@ -88,11 +97,17 @@ def own_part(array: Tensor) -> Tensor:
 
 
 def lay_like(whole: Tensor, like: Tensor) -> Tensor:
-    """An array laid out as another is: whole, or this process' part of it."""
+    """An array laid out as another is: whole, or this process' part of it, which alone is sent."""
     if not isinstance(like, DTensor):
         return whole
-    place = whole.to(like.device)
-    return distribute_tensor(place, like.device_mesh, like.placements, src_data_rank=None)
+    mesh, whole = like.device_mesh, whole.contiguous()
+    parts = whole.chunk(mesh.size())  # as FSDP2 cuts: the last ones may be short, or empty
+    rank = mesh.get_local_rank()
+    own = parts[rank] if rank < len(parts) else whole[:0]
+    return DTensor.from_local(
+        own.to(like.device, copy=True), mesh, like.placements, run_check=False,
+        shape=whole.shape, stride=whole.stride(),
+    )  # fmt: skip
 
 
 def gather(arrays: Mapping[str, Tensor], processes: Processes) -> dict[str, Tensor]:

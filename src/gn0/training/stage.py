@@ -127,7 +127,9 @@ class Stage:
         """
         learner, said = self.learner, []
         own = learner.loss.state_dict()
-        arrays = {name: lay_like(array, own.get(name, array)) for name, array in state.arrays.items()}
+        arrays = {
+            name: lay_like(array, own.get(name, array)) for name, array in state.arrays.items()
+        }
         learner.loss.load_state_dict({**own, **arrays}, strict=True)
         if learner.averaged and state.averaged:
             for name, array in learner.averaged.items():

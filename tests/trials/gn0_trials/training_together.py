@@ -19,7 +19,7 @@ from gn0.training.inputs import InputMixture, read_inputs
 from gn0.training.learner import Learner, Losses, LossForward, open_learner
 from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import build_pupil
-from gn0.training.recipe import Recipe
+from gn0.training.recipe import Recipe, Speed
 from gn0.training.runs.training_state import load_state
 from gn0.training.sharding import open_mesh, own_part, shard_blocks
 from gn0.training.stage import Stage, StagePlan
@@ -62,7 +62,7 @@ class Kept:
         self.checkpoint = Checkpoint(model, pupil.tokenizer, pupil.ids)
 
 
-def learn_inputs(folder: Path, samples: int) -> None:
+def learn_inputs(folder: Path, samples: int, *, fsdp: bool = False) -> None:
     """The same of a policy that is asked with maps, or with words alone: its tower is idle then."""
     view = MapView((EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
     plain = PolicySettings(
@@ -77,8 +77,10 @@ def learn_inputs(folder: Path, samples: int) -> None:
             hashes={"corpus": "c"}, command=["gn0"], device="cpu", versions={},
         ) as run,
     ):  # fmt: skip
+        if fsdp:
+            shard_blocks(pupil.model, open_mesh(processes, torch.device("cpu")))
         maker = pupil.inputs["maps"].maker(TEXTS, "cpu")
-        learner = open_learner(pupil, maker.table, RECIPE, processes=processes)
+        learner = open_learner(pupil, maker.table, RECIPE, Speed(fsdp=fsdp), processes)
         plan = StagePlan(samples=samples, report=1, save=0)
         stream = SharedOut(processes, -1)
         stream.texts = TEXTS
@@ -128,8 +130,9 @@ def learn(folder: Path, samples: int, dies_at: int = -1, *, fsdp: bool = False) 
 
 
 if __name__ == "__main__":
-    if "inputs" in sys.argv[4:]:
-        learn_inputs(Path(sys.argv[1]), int(sys.argv[2]))
+    asked = sys.argv[4].split(",") if len(sys.argv) > 4 else []
+    parts = "fsdp" in asked
+    if "inputs" in asked:
+        learn_inputs(Path(sys.argv[1]), int(sys.argv[2]), fsdp=parts)
     else:
-        own = "fsdp" in sys.argv[4:]
-        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), fsdp=own)
+        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), fsdp=parts)

@@ -27,6 +27,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.bae.checkpoint import load_checkpoint
 from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene, save_scene
 from gn0.suites.suite import save_suite
 from gn0.training.processes import ALONE
 from gn0.training.recipe import RECIPES, Speed, parse_speed
@@ -120,7 +121,8 @@ def test_the_verb_in_parts_examines_and_writes_what_whole_copies_would(
     if not shutil.which("g++"):
         pytest.skip("the host emulation needs g++")
     monkeypatch.setenv("GN0_CACHE", str(own_cache))
-    scene = build_example_scene()
+    save_scene(build_example_scene(), tmp_path / "flat")
+    scene = load_scene(tmp_path / "flat")
     episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, 0)
     suite = save_suite(tmp_path / "suite", [scene], episodes, name="flat", max_steps=12).folder
     flags = [

@@ -98,7 +98,7 @@ def own_part(array: Tensor) -> Tensor:
 
 def lay_like(whole: Tensor, like: Tensor) -> Tensor:
     """An array laid out as another is: whole, or this process' part of it, which alone is sent."""
-    if not isinstance(like, DTensor):
+    if not isinstance(like, DTensor) or isinstance(whole, DTensor):
         return whole
     mesh, whole = like.device_mesh, whole.contiguous()
     parts = whole.chunk(mesh.size())  # as FSDP2 cuts: the last ones may be short, or empty

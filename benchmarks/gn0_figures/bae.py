@@ -35,7 +35,7 @@ _VOCABULARY = NavigationVocabulary(
     number=_FIRST, actions=(2805, 2802, 2803, 2804), begin=2800, close=2801, end=1702, size=2806,
     rows=2816,
 )  # fmt: skip
-_IDS = TokenIds(
+IDS = TokenIds(
     pad=1700, start=1701, end=1702, vision_start=1709, vision_end=1710, image=1712, video=1713,
     vocabulary=_VOCABULARY,
 )  # fmt: skip
@@ -66,14 +66,15 @@ def build_4b() -> Qwen3VLForConditionalGeneration:
     return Qwen3VLForConditionalGeneration(config)
 
 
-def _lay_out(model: Any, sizes: list[PictureSize], words: int) -> PromptLayout:
+def lay_out(model: Any, sizes: list[PictureSize], words: int) -> PromptLayout:
+    """Prompts with these pictures and so many words."""
     parts: list[int | PictureSize] = [1]
     for size in sizes:
         parts += [2, size, 3]
     return build_layout(parse_architecture(model.config.to_dict()), [*parts, *[5] * words, 4])
 
 
-def _draw(
+def draw_batch(
     layout: PromptLayout, batch: int, answer: int, device: str = "cuda"
 ) -> tuple[list[Tensor], Tensor, Tensor]:
     """Pictures, prompts and answers at random, on the card."""
@@ -87,7 +88,7 @@ def _draw(
 
 def _learn(model: Any, forward: ForwardConstant, batch: int, answer: int) -> Callable[[], None]:
     """A step of SFT: forward, backward, AdamW, in bfloat16 but for weights and states."""
-    pictures, ids, said = _draw(forward.layout, batch, answer)
+    pictures, ids, said = draw_batch(forward.layout, batch, answer)
     optimiser = torch.optim.AdamW(model.parameters(), 1e-5, fused=True)
 
     def step() -> None:
@@ -126,14 +127,14 @@ def learn_by_adapters(large: Large) -> Iterator[tuple[str, float, float, int]]:
     """A step of SFT and one of a policy gradient: what, seconds, bytes, weights that learn."""
     with torch.device(large.device):
         model = large.build().train()
-    add_adapters(model, _IDS, rank=RANK, dtype=torch.bfloat16)
-    layout = _lay_out(model, list(large.sizes), large.words)
+    add_adapters(model, IDS, rank=RANK, dtype=torch.bfloat16)
+    layout = lay_out(model, list(large.sizes), large.words)
     forward = ForwardConstant(model, layout, large.answer, checkpointed=True).to(large.device)
     recipe = Recipe(rate=1e-4, mean=0.0, distance_weight=0.0, decay=0.0)
     free, acts = np.arange(_FIRST, _FIRST + 1000), np.array(sorted(_VOCABULARY.actions))
     allowed = [np.array([4])] * large.answer
     allowed[:24], allowed[-6:] = [free] * 24, [acts] * 6  # as many are chosen as by a whole answer
-    pictures, ids, said = _draw(layout, large.batch, large.answer, large.device)
+    pictures, ids, said = draw_batch(layout, large.batch, large.answer, large.device)
     for slot, own in enumerate(allowed):
         one = torch.from_numpy(own).to(large.device)
         said[:, slot] = one[torch.arange(large.batch, device=large.device) % len(own)]
@@ -196,8 +197,8 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
     free = torch.arange(_FIRST, _FIRST + 1000).cuda()
     slots = [free] * 24 + [free[:1]] + [free[:4]] * 6 + [free[:1]] * 2
     for count in (1, 2, 4):
-        model = build_model("tiny", _IDS).cuda().train()
-        layout = _lay_out(model, [PictureSize(128, 128)] * count, WORDS)
+        model = build_model("tiny", IDS).cuda().train()
+        layout = lay_out(model, [PictureSize(128, 128)] * count, WORDS)
         forward = ForwardConstant(model, layout, ANSWER, compiled=True).cuda()
         torch.cuda.reset_peak_memory_stats()
         seconds = _time(_learn(model, forward, BATCH, ANSWER - 1), 4, 20)
@@ -207,7 +208,7 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
         rate = BATCH / seconds
         add(f"SFT samples a second, {count} pictures", rate, "1/s", f"{detail}{gigabytes:.3g} GB")
         plain = ForwardConstant(model.eval(), layout, ANSWER).cuda()
-        pictures, ids, _ = _draw(layout, BATCH, 1)
+        pictures, ids, _ = draw_batch(layout, BATCH, 1)
 
         def decide(
             plain: ForwardConstant = plain, pictures: list[Tensor] = pictures, ids: Tensor = ids
@@ -222,7 +223,7 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
         torch.cuda.empty_cache()
     with torch.device("cuda"):
         model = build_4b().train()
-    layout = _lay_out(model, list(LARGE_SIZES), LARGE_WORDS)
+    layout = lay_out(model, list(LARGE_SIZES), LARGE_WORDS)
     forward = ForwardConstant(model, layout, LARGE_ANSWER, checkpointed=True).cuda()
     torch.cuda.reset_peak_memory_stats()
     learn = _learn(model, forward, LARGE_BATCH, LARGE_ANSWER - 1)

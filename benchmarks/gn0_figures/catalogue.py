@@ -14,8 +14,8 @@ _MODULES = (
     "procedural",
     "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "crowd", "policies", "missions",
     "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
-    "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "dagger",
-    "dapo", "episode_rl", "training_state", "people_dress", "people_looks", "people_sim",
+    "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "sharded",
+    "dagger", "dapo", "episode_rl", "training_state", "people_dress", "people_looks", "people_sim",
     "people_words", "people_follow", "people_bench", "people_render", "people_render_cuda",
     "people_mesh", "people_motion",
 )  # fmt: skip

@@ -104,7 +104,7 @@ def measure_scaling(ctx: FigureContext) -> list[FigureRow]:
             break
         out = ctx.work / f"run-{number}"
         samples = ["--samples", str(trial.batch * report * reports)]
-        _run(write_command(trial, suite, out, [*flags, *samples]))
+        run_python(write_command(trial, suite, out, [*flags, *samples]))
         lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
         rate, ready = read_rate(lines)
         alone = alone or rate
@@ -130,8 +130,8 @@ def _rows(trial: Trial, rate: float, alone: float, detail: str, tiny: bool) -> I
     )
 
 
-def _run(words: Sequence[str]) -> None:
-    """Run Python with these words.
+def run_python(words: Sequence[str]) -> str:
+    """Run Python with these words; gives what it said.
 
     Raises:
         RuntimeError: it failed, or took longer than `PATIENCE`; with what it said last.
@@ -148,6 +148,7 @@ def _run(words: Sequence[str]) -> None:
             raise
     if process.returncode:
         raise RuntimeError(f"{' '.join(words)}: {said[-2000:]}")
+    return said
 
 
 FIGURES = [Figure("train.scaling", "SFT on several cards", measure_scaling, 8.0, backend="cuda")]

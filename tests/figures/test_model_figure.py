@@ -17,7 +17,7 @@ from gn0_figures import bae
 
 def test_a_step_of_both_kinds_by_adapters() -> None:
     small = bae.Large(
-        lambda: build_model("nano", bae._IDS), (PictureSize(32, 32),) * 2, 8, 4, 33, "cpu"
+        lambda: build_model("nano", bae.IDS), (PictureSize(32, 32),) * 2, 8, 4, 33, "cpu"
     )
     found = list(bae.learn_by_adapters(small))
     assert [name for name, *_ in found] == ["SFT", "a policy gradient"]

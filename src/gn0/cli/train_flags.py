@@ -105,6 +105,9 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
         speed: how steps are computed on a card, as words with commas between: blocks, whole or
             tuned; joined; narrow; beside. `gn0 figures train.speed` compares them; blocks by
             default.
+        fsdp: started by torchrun, each card keeps its part of all weights, gradients and optimiser
+            states (FSDP2), for a model that does not fit on one; not with --lora, nor where the
+            policy drives.
         workers: processes that read a dataset.
         report: steps from report to report.
     """
@@ -116,6 +119,7 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     jitter: bool = False
     speed: str = ""
+    fsdp: bool = False
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     report: Count = 50
 
@@ -125,7 +129,8 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
 
         names = ("text_length", "agents", "jitter", "workers")
         own = {name: getattr(self, name) for name in names}
-        return {**super().list_job(), **own, "speed": parse_speed(split_words(self.speed))}
+        speed = parse_speed(split_words(self.speed), fsdp=self.fsdp)
+        return {**super().list_job(), **own, "speed": speed}
 
     def list_plan(self) -> dict[str, Any]:
         """See `StageFlags`."""

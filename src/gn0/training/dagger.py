@@ -89,6 +89,12 @@ class DaggerJob(ImitationJob, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.speed.fsdp and not self.reads_dataset:
+            raise ConfigError(
+                "agents that act with weights that lie in parts",
+                where="fsdp",
+                remedy="leave out --fsdp, or learn from a dataset (--source dataset)",
+            )
         if len(self.joins) > 1 or self.joins[0]:
             raise ConfigError(
                 "states that are gathered once, of scenes that join later",

@@ -77,6 +77,12 @@ class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.speed.fsdp:
+            raise ConfigError(
+                "agents that act with weights that lie in parts",
+                where="fsdp",
+                remedy="leave out --fsdp, or learn from a dataset (without --live)",
+            )
         if self.beta_to < self.beta_from:
             raise ConfigError(
                 f"beta falls from {self.beta_from} to {self.beta_to} samples",

@@ -31,6 +31,7 @@ from gn0.training.processes import join_processes
 from gn0.training.pupil import Pupil, open_pupil, resize_texts
 from gn0.training.recipe import BY_LAYER, RECIPES, Recipe, Speed
 from gn0.training.runs.training_state import TrainingState, load_state
+from gn0.training.sharding import open_mesh, refuse_alone, shard_blocks
 from gn0.training.stage import StagePlan
 from gn0.training.stage_run import PolicyJob, StageRun, open_place, open_stage_run
 from gn0.training.streams.picture_jitter import PictureJitter
@@ -76,6 +77,12 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
                 "adapters of a model of random weights",
                 where="lora",
                 remedy="give the model that is adapted as start, or leave out lora",
+            )
+        if self.recipe.lora and self.speed.fsdp:
+            raise ConfigError(
+                "adapters of a model whose weights lie in parts",
+                where="fsdp",
+                remedy="leave out --fsdp: a frozen 4B in bfloat16 and its adapters fit on one card",
             )
         if len(self.joins) not in (1, len(self.suites)):
             raise ConfigError(
@@ -136,6 +143,8 @@ class Imitation(StageRun):
             if self.processes.leads:
                 save_policy_settings(folder, pupil.settings, pupil.template, pupil.others)
         adapt_pupil(pupil, self.job.recipe, self.job.seed, self.where)
+        if self.job.speed.fsdp:  # before it is on the card, where not all of it may fit
+            shard_blocks(pupil.model, open_mesh(self.processes, self.where))
         pupil.model.to(self.where).train()
         return pupil
 
@@ -209,6 +218,8 @@ def open_imitation(
         DeviceError, StorageError: see their texts.
     """
     with join_processes(device) as processes:
+        if job.speed.fsdp:
+            refuse_alone(processes)
         place = open_place(device, say, processes, walks=not job.reads_dataset)
         if not job.reads_dataset:
             wait_for_suites(job.lots[0], place.say)

@@ -10,6 +10,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 import msgspec
 import torch
 from torch import Tensor, nn
+from torch.distributed.tensor import DTensor
 from torch.nn import functional
 from transformers import Qwen3VLForConditionalGeneration
 
@@ -21,6 +22,7 @@ from gn0.policies.bae.prompt_table import PromptTable
 from gn0.training.processes import ALONE, Processes
 from gn0.training.pupil import Pupil
 from gn0.training.recipe import BY_LAYER, Recipe, Speed
+from gn0.training.sharding import is_sharded, lay_like, own_part, shard_rest
 from gn0.training.streams.samples import SampleBatch
 
 DISTANCE_SCALE = 5.0  # m: the auxiliary head says distances in these
@@ -197,6 +199,9 @@ Told = TypeVar("Told", bound=Costs)
 class Learner(Generic[Batch, Told]):
     """A model in training.
 
+    Where the model is `sharded` (see `sharding`), `weights`, `averaged` and what the optimiser
+    remembers are of this process' parts.
+
     Args:
         loss: of its batches; on its device.
         recipe: how it learns.
@@ -215,7 +220,12 @@ class Learner(Generic[Batch, Told]):
         processes: Processes = ALONE,
     ) -> None:
         self.processes = processes
-        self._called = processes.average(cast(nn.Module, loss), whole=loss.shows_pictures)
+        self.sharded = is_sharded(loss.model)
+        self._called = cast(nn.Module, loss)
+        if self.sharded:
+            shard_rest(self._called)
+        else:
+            self._called = processes.average(self._called, whole=loss.shows_pictures)
         self.loss, self.recipe, self.autocast = loss, recipe, autocast
         self.model: Qwen3VLForConditionalGeneration = loss.model
         self.device = next(loss.parameters()).device
@@ -281,7 +291,7 @@ class Learner(Generic[Batch, Told]):
         """Weights and averaged weights, along the gradient; gives its norm."""
         for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
-        norm = nn.utils.clip_grad_norm_(self.weights.values(), self.recipe.clip)
+        norm = self._clip()
         self.optimiser.step()
         if self.averaged:
             self.averaged_steps += 1
@@ -289,8 +299,21 @@ class Learner(Generic[Batch, Told]):
             mean = min(self.recipe.mean, (1 + self.averaged_steps) / (10 + self.averaged_steps))
             with torch.no_grad():
                 torch._foreach_lerp_(
-                    [*self.averaged.values()], [w.data for w in self.weights.values()], 1 - mean
+                    [own_part(one) for one in self.averaged.values()],
+                    [own_part(weight.data) for weight in self.weights.values()],
+                    1 - mean,
                 )
+        return norm
+
+    def _clip(self) -> Tensor:
+        """Cut the gradient to the recipe's norm; gives the norm before, of the whole gradient."""
+        weights = [*self.weights.values()]
+        if not self.sharded:
+            return nn.utils.clip_grad_norm_(weights, self.recipe.clip)
+        gradients = [weight.grad for weight in weights if weight.grad is not None]
+        parts = nn.utils.get_total_norm(gradients)
+        norm = self.processes.ask(lambda: cast(DTensor, parts).full_tensor())
+        nn.utils.clip_grads_with_norm_(weights, self.recipe.clip, norm)
         return norm
 
     @contextmanager
@@ -333,7 +356,7 @@ class Learner(Generic[Batch, Told]):
     @torch.no_grad()
     def _write(self, values: Mapping[str, Tensor]) -> None:
         for name, weight in self.weights.items():
-            weight.copy_(values[name])
+            weight.copy_(lay_like(values[name], weight))
 
 
 def open_learner(
@@ -355,6 +378,7 @@ def open_learner(
     card = pupil.model.device.type == "cuda"
     if recipe.lora:  # joined products would pass adapters by; a frozen model is a large one
         speed = msgspec.structs.replace(speed, graph="blocks", joined=False)
+    large = recipe.lora > 0 or speed.fsdp
     blocks = card and speed.graph == "blocks"
     compiled: bool | Literal["tuned"] = card and not blocks
     if compiled and speed.graph == "tuned":
@@ -362,8 +386,8 @@ def open_learner(
 
     def open_loss(one: Pupil, prompts: PromptTable) -> LossForward:
         forward = one.forward(
-            prompts, compiled=blocks and not recipe.lora, joined=speed.joined,
-            narrow=speed.narrow, checkpointed=card and recipe.lora > 0,
+            prompts, compiled=blocks and not large, joined=speed.joined,
+            narrow=speed.narrow, checkpointed=card and large,
         )  # fmt: skip
         return LossForward(forward, one.slots, recipe, compiled=compiled).to(one.model.device)
 

@@ -80,22 +80,38 @@ class Speed(Config, frozen=True):
         joined, narrow: see `ForwardConstant`.
         beside: steps have a CUDA stream of their own, so that the next samples are made meanwhile;
             not where the policy in training drives.
+        fsdp: each process keeps its part of all weights, gradients and of what the optimiser
+            remembers, instead of all of them; see `sharding`.
     """
 
     graph: Literal["blocks", "whole", "tuned"] = "blocks"
     joined: bool = False
     narrow: bool = False
     beside: bool = False
+    fsdp: bool = False
+
+    def __post_init__(self) -> None:
+        if self.fsdp and (self.graph != "blocks" or self.joined or self.beside):
+            raise ConfigError(
+                "weights that lie in parts are gathered block by block: none of whole, tuned, "
+                "joined and beside goes with fsdp",
+                where="speed",
+                remedy="leave out --speed, or --fsdp",
+            )
 
 
 BY_LAYER = Speed()
 
 
-def parse_speed(words: Sequence[str]) -> Speed:
+def parse_speed(words: Sequence[str], *, fsdp: bool = False) -> Speed:
     """The speed that words name: any of joined, narrow and beside, and at most one graph.
 
+    Args:
+        words: of `--speed`.
+        fsdp: see `Speed`.
+
     Raises:
-        ConfigError: another word, or two graphs.
+        ConfigError: another word, two graphs, or what does not go with `fsdp`.
     """
     known = set(words)
     graphs = known & {"blocks", "whole", "tuned"}
@@ -107,4 +123,4 @@ def parse_speed(words: Sequence[str]) -> Speed:
             remedy="give one of blocks, whole and tuned, and any of joined, narrow and beside",
         )
     graph = next(iter(graphs), "blocks")
-    return msgspec.convert({"graph": graph, **dict.fromkeys(more, True)}, Speed)
+    return Speed(graph=graph, fsdp=fsdp, **dict.fromkeys(more, True))  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ from gn0.training.runs.progress_line import ProgressLine, TrainingReport
 from gn0.training.runs.run_folder import RunFolder
 from gn0.training.runs.training_state import TrainingCounters, TrainingState, name_device
 from gn0.training.schedule import Schedule
+from gn0.training.sharding import gather_state, lay_like, part_optimiser
 from gn0.training.streams.samples import LabelledStates, SampleBatch, SampleMaker, Stream
 from gn0.training.tally import Tally
 
@@ -126,10 +127,13 @@ class Stage:
         """
         learner, said = self.learner, []
         own = learner.loss.state_dict()
-        learner.loss.load_state_dict({**own, **state.arrays}, strict=True)
+        arrays = {
+            name: lay_like(array, own.get(name, array)) for name, array in state.arrays.items()
+        }
+        learner.loss.load_state_dict({**own, **arrays}, strict=True)
         if learner.averaged and state.averaged:
             for name, array in learner.averaged.items():
-                array.copy_(state.averaged[name])
+                array.copy_(lay_like(state.averaged[name], array))
         source = state.source
         self.counters = state.counters
         self.schedule = Schedule(**source["schedule"])
@@ -140,7 +144,10 @@ class Stage:
             self.schedule = self.schedule.warm_again(state.counters.step)
             said.append("the optimiser was left behind: its rate rises anew")
         else:
-            restore_optimiser(learner.optimiser, state.optimiser, learner.weights.items())
+            remembered = state.optimiser
+            if learner.sharded:
+                remembered = part_optimiser(remembered, learner.weights)
+            restore_optimiser(learner.optimiser, remembered, learner.weights.items())
         said += restore_generators(state.generators)
         processes, streams = learner.processes, source["streams"]
         if len(streams) != processes.count and any(one != streams[0] for one in streams):
@@ -153,7 +160,7 @@ class Stage:
         return tuple(said)
 
     def state(self) -> TrainingState:
-        """All that the next step hangs on."""
+        """All that the next step hangs on; whole in the first process, asked in all."""
         learner = self.learner
         adapted = has_adapters(learner.model)  # then the model is frozen, and not in the state
         arrays = {
@@ -161,7 +168,7 @@ class Stage:
             for name, weight in learner.weights.items()
             if adapted or name.startswith(AUXILIARY)
         }
-        return TrainingState(
+        state = TrainingState(
             checkpoint=self.pupil.checkpoint,
             counters=self.counters,
             recipe=self.recipe,
@@ -182,6 +189,10 @@ class Stage:
             },
             arrays=arrays,
         )
+        if not learner.sharded:
+            return state
+        kept = self.plan.keep_optimiser
+        return gather_state(state, learner.processes, with_optimiser=kept)
 
     def begin(self, folder: RunFolder, found: Mapping[str, float]) -> None:
         """Report what was measured before the first step, and save the state of step 0.

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -30,7 +30,8 @@ from gn0.policies.bae.policy_settings import FILE, load_policy_settings
 from gn0.policies.qwen.weights import hash_shards
 from gn0.storage import content_hash, read_bytes
 from gn0.training.adapters import has_adapters, merge_adapters
-from gn0.training.exams.examination import STATES, Examination
+from gn0.training.exams.examination import STATES, Examination, Lender
+from gn0.training.exams.examination_gathered import ExaminationGathered
 from gn0.training.learner import Learner
 from gn0.training.processes import ALONE, Processes, open_run_together
 from gn0.training.pupil import Pupil
@@ -46,8 +47,10 @@ from gn0.training.runs.training_state import (
     load_state,
     name_device,
 )
+from gn0.training.sharding import gather_checkpoint
 from gn0.training.worlds import Lessons, load_lessons, wait_for_suites
 
+Examine = Callable[[], Mapping[str, float]]
 FREE = ("plan", "examined", "asked", "speed")  # of a job: what may differ where a run goes on
 POLICY = "policy"  # folder of the trained policy in a run's
 
@@ -165,20 +168,30 @@ class StageRun(StagePlace):
 
     def open_examination(
         self, job: PolicyJob, pupil: Pupil, learner: Learner[Any, Any]
-    ) -> Examination | None:
+    ) -> Examine | None:
         """What examines the policy; None in processes that do not, and where nobody can walk."""
-        if not (job.held_out and self.card is not None and self.processes.leads):
+        card = self.card
+        if not job.held_out or card is None:
             return None
-        return Examination(
-            pupil, learner, job.exam_suite, job.held_out, self.card, say=self.say,
-            episodes=job.examined, states=job.asked, seed=job.seed,
-        )  # fmt: skip
+
+        def examine(one: Pupil, lender: Lender) -> Examination:
+            return Examination(
+                one, lender, job.exam_suite, job.held_out, card, say=self.say,
+                episodes=job.examined, states=job.asked, seed=job.seed,
+            )  # fmt: skip
+
+        if learner.sharded:
+            return ExaminationGathered(pupil, learner, examine)
+        return examine(pupil, learner) if self.processes.leads else None
 
     def finish(self, stage: PolicyStage, found: Mapping[str, float]) -> Path:
         """Write the policy, with its averaged weights, and that the run is done."""
         with stage.learner.averaged_weights():
+            pupil, size = stage.pupil, stage.plan.shard_mb
+            if stage.learner.sharded:
+                whole = gather_checkpoint(pupil.checkpoint, self.processes)
+                pupil = replace(pupil, checkpoint=whole)
             if self.processes.leads:
-                pupil, size = stage.pupil, stage.plan.shard_mb
                 if has_adapters(pupil.model):
                     merge_adapters(pupil.model)
                 card = build_card(self.folder.folder, pupil.settings, results=found)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from gn0.data.answer_form import AnswerForm
 from gn0.policies.bae.checkpoint import Checkpoint
@@ -16,8 +19,9 @@ from gn0.training.inputs import InputMixture, read_inputs
 from gn0.training.learner import Learner, Losses, LossForward, open_learner
 from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import build_pupil
-from gn0.training.recipe import Recipe
+from gn0.training.recipe import Recipe, Speed
 from gn0.training.runs.training_state import load_state
+from gn0.training.sharding import open_mesh, own_part, shard_blocks
 from gn0.training.stage import Stage, StagePlan
 from gn0.training.streams.samples import SampleBatch
 from gn0_trials.pupil_small import TEXTS, PupilSmall, draw_states, make_words
@@ -58,7 +62,7 @@ class Kept:
         self.checkpoint = Checkpoint(model, pupil.tokenizer, pupil.ids)
 
 
-def learn_inputs(folder: Path, samples: int) -> None:
+def learn_inputs(folder: Path, samples: int, *, fsdp: bool = False) -> None:
     """The same of a policy that is asked with maps, or with words alone: its tower is idle then."""
     view = MapView((EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
     plain = PolicySettings(
@@ -73,8 +77,10 @@ def learn_inputs(folder: Path, samples: int) -> None:
             hashes={"corpus": "c"}, command=["gn0"], device="cpu", versions={},
         ) as run,
     ):  # fmt: skip
+        if fsdp:
+            shard_blocks(pupil.model, open_mesh(processes, torch.device("cpu")))
         maker = pupil.inputs["maps"].maker(TEXTS, "cpu")
-        learner = open_learner(pupil, maker.table, RECIPE, processes=processes)
+        learner = open_learner(pupil, maker.table, RECIPE, Speed(fsdp=fsdp), processes)
         plan = StagePlan(samples=samples, report=1, save=0)
         stream = SharedOut(processes, -1)
         stream.texts = TEXTS
@@ -82,7 +88,18 @@ def learn_inputs(folder: Path, samples: int) -> None:
         Stage(pupil, learner, stream, maker, plan, {}, "c", mixture=mixture).run(run, print)
 
 
-def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
+def count_held(learner: Learner[Any, Any]) -> dict[str, int]:
+    """Numbers that this process holds: of weights, averaged weights and the optimiser's states."""
+    remembered = [one for kept in learner.optimiser.state.values() for one in kept.values()]
+    held = {
+        "weights": learner.weights.values(),
+        "averaged": learner.averaged.values(),
+        "optimiser": [one for one in remembered if one.ndim],
+    }
+    return {name: sum(own_part(one).numel() for one in some) for name, some in held.items()}
+
+
+def learn(folder: Path, samples: int, dies_at: int = -1, *, fsdp: bool = False) -> None:
     """Learn from so many samples, in whatever processes the environment speaks of."""
     pupil = PupilSmall(make_words())
     with (
@@ -94,6 +111,8 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
     ):  # fmt: skip
         state = load_state(run.resumed) if run.resumed else None
         model = state.checkpoint.model.train() if state else pupil.model
+        if fsdp:
+            shard_blocks(model, open_mesh(processes, torch.device("cpu")))
         loss = LossForward(pupil.forward_of(model), pupil.slots, RECIPE)
         learner: Learner[SampleBatch, Losses] = Learner(loss, RECIPE, processes=processes)
         plan = StagePlan(samples=samples, report=1, save=2)
@@ -103,12 +122,17 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
         if state is not None:
             stage.restore(state)
         stage.run(run, print)
+        held = processes.gather(count_held(learner), torch.device("cpu"))
+        if processes.leads:
+            (folder / "held.json").write_text(json.dumps(held))
     if hasattr(learner._called, "reducer"):
         sys.exit("the reducer outlives its group: closing it may hang")
 
 
 if __name__ == "__main__":
-    if "inputs" in sys.argv[4:]:
-        learn_inputs(Path(sys.argv[1]), int(sys.argv[2]))
+    asked = sys.argv[4].split(",") if len(sys.argv) > 4 else []
+    parts = "fsdp" in asked
+    if "inputs" in asked:
+        learn_inputs(Path(sys.argv[1]), int(sys.argv[2]), fsdp=parts)
     else:
-        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
+        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), fsdp=parts)

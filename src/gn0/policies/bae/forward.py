@@ -29,6 +29,10 @@ from gn0.policies.qwen.tables import (
     rotate_tokens,
 )
 
+GATHERED = "compute_gathered"
+"""Method of blocks whose weights lie in parts on several cards: calls what it is given with the
+block and the rest, all of its weights at hand."""
+
 
 @dataclass(frozen=True)
 class FeaturesTorch:
@@ -113,6 +117,9 @@ class ForwardConstant(nn.Module):
             setattr(self, name, torch.compile(getattr(self, name), dynamic=False))
         for name in blocks if checkpointed else ():
             setattr(self, name, partial(checkpoint, getattr(self, name), use_reentrant=False))
+        sharded = hasattr(model.model.language_model.layers[0], GATHERED)
+        for name in blocks if sharded else ():
+            setattr(self, name, partial(_compute_gathered, getattr(self, name)))
 
     def _keep(self, name: str, cos: Any, sin: Any) -> None:
         self.register_buffer(f"{name}_cos", torch.from_numpy(cos), persistent=False)
@@ -288,6 +295,10 @@ class ForwardConstant(nn.Module):
         """Logits [..., vocabulary, or as many as `rows`] of hidden states [..., hidden]."""
         head = self.model.lm_head.weight
         return functional.linear(hidden, head if rows is None else head[rows])
+
+
+def _compute_gathered(compute: Callable[..., Any], block: Any, *given: Any) -> Any:
+    return getattr(block, GATHERED)(compute, *given)
 
 
 def cut_patches(pictures: Tensor, shape: Any) -> Tensor:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import cached_property
+from typing import Protocol
+
+import torch
 
 from gn0.device.device import Device
 from gn0.policies.bae.actor import Actor
 from gn0.training.exams.evaluation import ClosedLoop, score_states, summarise_walks
-from gn0.training.learner import Learner
 from gn0.training.pupil import Pupil
 from gn0.training.streams.live_counts import share_counts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
@@ -27,6 +30,19 @@ from gn0.training.worlds import (
 
 STATES, ASKED = 4096, 512  # fixed states of the expert's walks, and how many are asked at once
 AGENTS = 64  # that walk to them
+
+
+class Lender(Protocol):
+    """Whose weights are examined: a learner, or what stands for it."""
+
+    @property
+    def autocast(self) -> torch.dtype | None:
+        """Type of what is computed within; None for that of the weights."""
+        ...
+
+    def averaged_weights(self) -> AbstractContextManager[None]:
+        """The model has its averaged weights within."""
+        ...
 
 
 class Examination:
@@ -49,7 +65,7 @@ class Examination:
     def __init__(
         self,
         pupil: Pupil,
-        learner: Learner,
+        learner: Lender,
         suite: str,
         splits: Sequence[str],
         card: Device,

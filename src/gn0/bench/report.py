@@ -69,7 +69,7 @@ from gn0.render.renderer import DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
-from gn0.storage import safe_join, write_text
+from gn0.storage import plain_path, safe_join, write_text
 from gn0.suites.known_suites import known_suites, remember_suite
 from gn0.suites.profiles import DIFFERENCES
 from gn0.suites.run_files import RUN
@@ -115,7 +115,7 @@ def load_run(folder: Path | str) -> RunData:
         StorageError: no finished run there.
         FormatError: one of its files is damaged.
     """
-    path = Path(folder)
+    path = plain_path(folder)
     return RunData(
         folder=path,
         summary=load_summary(path),

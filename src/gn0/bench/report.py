@@ -58,6 +58,7 @@ from gn0.bench.results import (
 from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
 from gn0.config import load_json
+from gn0.counted import counted
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import follow_rules
@@ -334,6 +335,7 @@ def _fill(**values: Any) -> str:
         style=Markup(style),  # noqa: S704 (our own file, byte for byte what the hash covers)
         script=Markup(script),  # noqa: S704
         content_policy=policy,
+        counted=counted,
         **values,
     )
 

@@ -26,6 +26,8 @@ _EYE, _AIM, _FAR = 1.35, 0.93, 4.4  # height of the eye and what it looks at, di
 _TURNS = (0.35, 3.5)  # from where a person is seen [rad]
 _SLOPE = 28.0  # field of view [degrees]
 
+_CUTS = {"top": frozenset(TOPS), "bottom": frozenset(BOTTOMS), "shoes": frozenset(SHOES)}
+
 
 def draw_avatars(
     avatars: Sequence[Avatar],
@@ -92,8 +94,7 @@ def name_word(record: Mapping[str, str], key: str) -> str:
     value = record.get(key, "")
     if key == "hair" and value in HAIR:
         return say_hair(value)
-    known: Mapping[str, object] = {"top": TOPS, "bottom": BOTTOMS, "shoes": SHOES}.get(key, {})
-    if value in known:
+    if value in _CUTS.get(key, frozenset()):
         return garment_word(key, value)
     return pattern_word(value) if key.endswith("_pattern") else value.replace("_", " ")
 

@@ -128,7 +128,8 @@ def _count_view(
 ) -> tuple[float, float, float, float]:
     """Visible splats, entries, reached entries and blended parts of a view."""
     lists = renderer.arrange(camera, view, [(renderer.cloud, 0)])
-    records, indices, starts, rows, keys = (np.asarray(lists[i]) for i in (0, 1, 3, 4, 5))
+    records, indices, starts = lists.records, lists.indices, lists.starts
+    rows, keys = lists.tile_rows, lists.tile_keys
     entries = int(starts[-1])
     visible = len(np.unique(rows[:entries]))
     tiles_x, tiles = -(-camera.width // TILE), len(starts) - 1

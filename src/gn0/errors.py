@@ -56,6 +56,8 @@ class Gn0Error(Exception):
 
 
 def _cut(text: str) -> str:
+    if not text.isascii():  # a name on a disk may be no text, and a message must be printable
+        text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} … {text[-LONGEST // 2 :]}"
 
 

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from gn0.errors import ConfigError, Gn0Error, StorageError
 from gn0.leftovers import TEMPORARY_PREFIX, is_held_name, remove_dead
-from gn0.storage import Journal, check_contained, storage_error
+from gn0.storage import Journal, check_contained, plain_path, storage_error
 
 LOCK = ".lock"
 PROBE = ".gn0-probe"  # what `check_room` writes, and takes away
@@ -91,7 +91,7 @@ def forget_folder(folder: Path | str, marker: str) -> None:
     Raises:
         StorageError: it holds something else, somebody is writing there, or the system refuses.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     if not folder.is_dir() or not any(folder.iterdir()) or holds_leftovers_only(folder):
         return
     if not (folder / marker).is_file():

@@ -213,9 +213,11 @@ def import_plugins(names: Sequence[str], *, only_locate: bool = False) -> tuple[
 
 def _import_plugin(name: str, only_locate: bool) -> str:
     is_file = name.endswith(".py") or "/" in name or "\\" in name
-    file = Path(name).expanduser().resolve() if is_file else None
-    module = file.stem if file else name
+    file, module = None, name
     try:
+        if is_file:
+            file = Path(name).expanduser().resolve()
+            module = file.stem
         if file is not None and not file.is_file():
             raise ImportError("there is no such file")
         if not all(part.isidentifier() for part in module.split(".")):

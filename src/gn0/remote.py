@@ -34,6 +34,7 @@ from gn0.storage import (
     cache_dir,
     check_contained,
     content_hash,
+    plain_path,
     safe_join,
     storage_error,
 )
@@ -97,7 +98,7 @@ def publish_folder(
         StorageError: the folder cannot be read or has a link that leads out of it, the store
             cannot be reached or refuses, or a package is missing.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     check_contained(folder)
     store = _Store(url)
     paths = [
@@ -174,7 +175,7 @@ def local_path(path: Path | str, *, progress: Progress = no_progress) -> Path:
     Raises:
         StorageError, FormatError: see `fetch_folder`.
     """
-    return fetch_folder(str(path), progress=progress) if is_url(path) else Path(path)
+    return fetch_folder(str(path), progress=progress) if is_url(path) else plain_path(path)
 
 
 def work_path(url: str) -> Path:

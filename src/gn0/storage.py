@@ -23,7 +23,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import StorageError
+from gn0.errors import StorageError, brief
 from gn0.leftovers import TEMPORARY_PREFIX, let_go, make_held_file, make_held_folder
 
 
@@ -61,6 +61,28 @@ def storage_error(error: OSError, path: Path | str, doing: str) -> StorageError:
     )
 
 
+def plain_path(path: Path | str) -> Path:
+    """A path as somebody hands it in, of characters that a file system has.
+
+    The system's own functions answer others with a bare ValueError, or say that nothing is there.
+
+    Raises:
+        StorageError: it holds a NUL, at which names end, or half of a character.
+    """
+    text = str(path)
+    try:
+        whole = b"\0" not in os.fsencode(text)
+    except UnicodeEncodeError:
+        whole = False
+    if not whole:
+        raise StorageError(
+            "path holds a NUL or is not proper Unicode",
+            where=brief(text),
+            remedy="give a path of printable characters",
+        )
+    return Path(path)
+
+
 def _fsync_dir(folder: Path) -> None:
     with contextlib.suppress(OSError):  # not every file system lets a folder be synced
         fd = os.open(folder, os.O_RDONLY)
@@ -76,7 +98,7 @@ def write_atomic(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
     Raises:
         StorageError: the folder is missing, unwritable or full.
     """
-    path = Path(path)
+    path = plain_path(path)
     temporary: str | None = None
     hold: int | None = None
     try:
@@ -121,7 +143,7 @@ def read_bytes(path: Path | str, limit: int | None = None) -> bytes:
     Raises:
         StorageError: missing, unreadable, or larger than `limit`.
     """
-    path = Path(path)
+    path = plain_path(path)
     try:
         size = path.stat().st_size
         if limit is not None and size > limit:
@@ -141,7 +163,7 @@ def check_writable(path: Path | str) -> None:
     Raises:
         StorageError: the system refuses; with its reason.
     """
-    path = Path(path)
+    path = plain_path(path)
     try:
         folder = path.absolute().parent
         while not folder.exists():
@@ -158,7 +180,7 @@ def check_replaceable(path: Path | str, *, overwrite: bool, marker: str) -> None
         StorageError: it is a file; it is not empty and `overwrite` is off, or it has no file named
             `marker`; or the system refuses to write there.
     """
-    path = Path(path)
+    path = plain_path(path)
     check_writable(path)
     try:
         free = not path.exists() or (path.is_dir() and not any(path.iterdir()))
@@ -193,7 +215,7 @@ def folder_atomic(path: Path | str, *, overwrite: bool = False, marker: str = ""
     Raises:
         StorageError: see `check_replaceable`; or `path` cannot be written.
     """
-    path = Path(path)
+    path = plain_path(path)
     temporary: Path | None = None
     holds: list[int | None] = []
 
@@ -252,7 +274,7 @@ def safe_join(root: Path | str, relative: str) -> Path:
     Raises:
         StorageError: the path climbs out of its folder, or is no plain relative path.
     """
-    root = Path(root)
+    root = plain_path(root)
     shown = relative if len(relative) <= 200 else f"{relative[:199]}…"
     why = find_path_fault(relative)
     if why:
@@ -282,7 +304,7 @@ def check_contained(folder: Path | str) -> None:
     Raises:
         StorageError: it holds such a thing; names it.
     """
-    root = Path(folder)
+    root = plain_path(folder)
     waiting = [root]
     try:
         real = root.resolve()
@@ -411,7 +433,7 @@ class Journal:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path = plain_path(path)
         self._stream: IO[bytes] | None = None
 
     def read(self) -> list[Any]:

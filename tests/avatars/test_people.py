@@ -40,7 +40,7 @@ from gn0.viewer.avatar_check import (
 )
 from gn0.viewer.avatar_film import film_motion
 from gn0.viewer.avatar_seat import find_height, place_seat, seat_person
-from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait
+from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait, list_record
 from gn0_trials.people_small import small_person
 
 WOMAN = Identity(seed=11, top="sweater", top_colour="red", top_pattern="knitted", bottom="slim")
@@ -216,8 +216,6 @@ def test_names_of_colours_are_drawn_and_read_back() -> None:
 
 
 def test_a_check_finds_what_is_wrong(woman: Avatar) -> None:
-    from dataclasses import replace
-
     assert check_avatar(woman, trial_poses()[:1]) == []
     bare = replace(woman, part=np.where(woman.part == PARTS.index("shoes"), 0, woman.part))
     high = replace(woman, points=woman.points + np.float32([0, 0.5, 0]))
@@ -233,6 +231,26 @@ def test_pages_show_everybody(woman: Avatar) -> None:
     assert half.std() > 20  # somebody is there
     assert describe_avatar(woman)[1] == "red knitted sweater"
     assert np.asarray(draw_portrait(woman)).std() > 10
+
+
+@pytest.mark.parametrize("top", TOPS)
+def test_garments_are_called_by_their_nouns(woman: Avatar, top: str) -> None:
+    for bottom in BOTTOMS:
+        worn = {"top": top, "bottom": bottom, "bottom_colour": "red", "bottom_pattern": "dotted"}
+        _, above, below = describe_avatar(replace(woman, record={**woman.record, **worn}))
+        assert above.split(" ")[-1] == TOPS[top].word.split(" ")[-1]
+        assert below.split(" ")[-1] == BOTTOMS[bottom].word.split(" ")[-1]
+        assert "red polka-dot" in below and "_" not in above + below
+
+
+def test_a_record_is_listed_with_words_for_its_cuts() -> None:
+    record = {"sex": "man", "top": "tee_slim", "top_pattern": "patched", "bottom": "slim",
+              "shoes": "laced", "hair": "bob02", "hat": "none", "extra": "scarf"}  # fmt: skip
+    assert list_record(record) == [
+        ("sex", "man"), ("top", "tee_slim (T-shirt)"), ("top_pattern", "patched (camouflage)"),
+        ("bottom", "slim (jeans)"), ("shoes", "laced (shoes)"),
+        ("hair", "bob02 (chin-length hair)"), ("hat", "none"), ("extra", "scarf"),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("height", [0.35, 0.45])

@@ -45,6 +45,21 @@ def test_the_card_tells_what_counts_where_somebody_is_followed(flats_suite: Suit
     assert "more than 3000 pixels" in evt and "below 0.5 m" in evt and "STOP ends" in evt
 
 
+def test_the_card_of_a_run_of_few_episodes_counts_those(flats_suite: Suite, tmp_path: Path) -> None:
+    mission = MissionFollow(goal=(1.0, 1.0), instruction="Follow the man.", human="drawn:0:1")
+    alike = [msgspec.structs.replace(e, mission=mission) for e in flats_suite.episodes]
+    suite = Suite(flats_suite.folder, flats_suite.about, tuple(alike))
+    card = PolicyCard(name="p", sensors=(), privileged=False)
+    told = dict(protocol_card(suite, card, "1.0", episodes=suite.episodes[:1]))
+    assert told["following"].startswith("1 of 1 episode:")
+    assert told["suite"].endswith(f"; of its {len(alike)} episodes the first 1, by id")
+    whole = dict(protocol_card(suite, card, "1.0", episodes=suite.episodes))
+    assert whole == dict(protocol_card(suite, card, "1.0"))
+    assert "by id" not in whole["suite"]
+    summary = run_suite(flats_suite, "straight", tmp_path, max_episodes=2)
+    assert dict(summary.protocol)["suite"].endswith("the first 2, by id")
+
+
 def test_the_card_tells_an_oracle_from_a_robot(flats_suite: Suite) -> None:
     oracle = card_of(flats_suite, privileged=True)["the policy sees"]
     told = card_of(flats_suite, sensors=("goal_vector",))["the policy sees"]

@@ -29,7 +29,6 @@ from gn0.missions.sets.episode_set import load_set, place_task
 from gn0.missions.sets.json_file import save_exact
 from gn0.missions.sets.vlnce import ExporterVlnce
 from gn0.sim.state import Trajectory
-from gn0.suites.suite import Suite, SuiteFile
 from gn0.testing.scenes import build_floor_plan
 from gn0_trials.judge_metrics import judge_dtw
 
@@ -164,11 +163,7 @@ def test_without_ground_truth_the_nodes_are_joined_and_the_card_says_so(tmp_path
 
     save_episodes(tmp_path / "e.parquet", [one, two], {"plan": grid})
     assert load_episodes(tmp_path / "e.parquet") == [one, two]
-    about = SuiteFile(
-        layout=1, name="n", version="1", scenes=(), camera="vlnce_r2r", agent=AgentSpec(),
-        episodes=2,
-    )  # fmt: skip
-    told = describe_paths(Suite(tmp_path, about, (one, two)))
-    assert "in 1 episodes the set's dense ground truth" in told and "joined by straight" in told
+    told = describe_paths((one, two))
+    assert "in 1 episode the set's dense ground truth" in told and "joined by straight" in told
     ours = msgspec.structs.replace(one, path_source="")
-    assert describe_paths(Suite(tmp_path, about, (ours,))).endswith("as the suite has it")
+    assert describe_paths((ours,)).endswith("as the suite has it")

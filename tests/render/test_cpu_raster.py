@@ -49,7 +49,7 @@ def test_pictures_are_as_if_every_splat_were_blended_everywhere(
 def _blend_everywhere(renderer: RendererCpu) -> tuple[F32, F32, int]:
     """Colour [H, W, 3] and opacity [H, W] of `VIEW`, and how many entries its tiles have."""
     lists = renderer.arrange(CAMERA, VIEW, [(renderer.cloud, 0)])
-    records, indices, ordered, starts, rows, keys, spare_rows, spare_keys, _ = lists
+    records, indices, ordered, starts, rows, keys, spare_rows, spare_keys, _ = lists.unboxed
     tiles_x, tiles_y = -(-CAMERA.width // TILE), -(-CAMERA.height // TILE)
     rgb = np.empty((tiles_y * TILE, tiles_x * TILE, 3), np.float32)
     alpha = np.empty(rgb.shape[:2], np.float32)
@@ -97,7 +97,7 @@ def test_what_lies_behind_a_closed_front_is_not_blended() -> None:
     renderer = RendererCpu(cloud)
     camera = Camera(width=TILE, height=TILE, fx=8.0, fy=8.0, cx=8.0, cy=8.0)
     lists = renderer.arrange(camera, np.eye(4), [(renderer.cloud, 0)])
-    records, starts, rows = lists[0], lists[3], lists[4]
+    records, starts, rows = lists.records, lists.starts, lists.tile_rows
     listed = rows[: starts[1]].copy()
     hidden = listed[records[listed, DEPTH] > 1.5]
     assert len(listed) - len(hidden) == front and len(hidden) > 200
@@ -106,7 +106,7 @@ def test_what_lies_behind_a_closed_front_is_not_blended() -> None:
         rgb = np.empty((TILE, TILE, 3), np.float32)
         depth, alpha = np.empty((TILE, TILE), np.float32), np.empty((TILE, TILE), np.float32)
         raster_tiles(
-            renderer._buffers.rects, *lists, 1, TILE, TILE, np.zeros(3, np.float32),
+            *lists, 1, TILE, TILE, np.zeros(3, np.float32),
             np.array([False, True, True, True]), np.empty((1, 1, 3), np.uint8), rgb, depth, alpha,
         )  # fmt: skip
         pictures.append((rgb, depth, alpha))
@@ -114,3 +114,13 @@ def test_what_lies_behind_a_closed_front_is_not_blended() -> None:
     assert (pictures[0][2][:, :4] > 0.99).all() and (pictures[0][2][:, 12:] < 0.5).all()
     for one, two in zip(*pictures, strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+def test_what_is_arranged_is_all_that_kernels_take_and_no_more() -> None:
+    renderer = RendererCpu(random_cloud(300, seed=4))
+    view = renderer.arrange(CAMERA, VIEW, [(renderer.cloud, 0)])
+    assert view.unboxed == tuple(view)[1:] and len(view.rects) == len(view.records)
+    entries = view.tile_rows[: view.starts[-1]]
+    x0, x1, y0, y1 = view.rects[entries].T
+    assert len(entries) and (x0 < x1).all() and (y0 < y1).all()
+    assert x1.max() <= CAMERA.width and y1.max() <= CAMERA.height

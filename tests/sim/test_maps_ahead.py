@@ -34,10 +34,36 @@ def test_processes_with_a_card_each_begin_with_other_scenes(monkeypatch) -> None
     assert number_card(0) == 3
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4, 6")
     assert [number_card(k) for k in range(3)] == [4, 6, 2]
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-5f2c")
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "²")
     assert number_card(0) == 0
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
     assert number_card(1) == 1
+
+
+def test_cards_that_go_by_their_uuid_have_their_places(tmp_path: Path, monkeypatch) -> None:
+    """As schedulers name them; CUDA takes the beginning of a UUID for the whole."""
+    uuids = ["GPU-9a01-1", "GPU-5f2c-7", "GPU-5f2d-7"]
+    for bus, uuid in enumerate(uuids):
+        (tmp_path / f"0000:{bus:02x}:00.0").mkdir()
+        (tmp_path / f"0000:{bus:02x}:00.0" / "information").write_text(
+            f"Model: \t\t NVIDIA H100\nGPU UUID: \t {uuid}\nDevice Minor: \t {bus}\nno colon\n"
+        )
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-5f2c, GPU-9a01-1,GPU-5f2d-7")
+    assert [number_card(k, tmp_path) for k in range(3)] == [1, 0, 2]
+    assert number_card(3, tmp_path) == 3
+
+
+def test_cards_that_nobody_lists_begin_with_scenes_of_their_own(
+    tmp_path: Path, monkeypatch
+) -> None:
+    """Slices of a card, and cards of a machine whose driver tells nothing."""
+    names = [f"{kind}-{n:x}7c1/1/0" for kind in ("MIG", "GPU") for n in range(4)]
+    starts = []
+    for name in names:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", name)
+        assert number_card(0, tmp_path) == number_card(0, tmp_path / "none")
+        starts.append(place_evenly(number_card(0, tmp_path)))
+    assert len(set(starts)) == len(names) and all(0 <= start < 1 for start in starts)
 
 
 @pytest.mark.slow

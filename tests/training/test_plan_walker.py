@@ -67,7 +67,7 @@ def test_agents_neither_disturb_plans_nor_feel_them(make_env) -> None:
     env, twin = (make_env(3, sensors=("goal_vector",), max_steps=4) for _ in range(2))
     twin.reset(seed=2)
     pose = torch.from_dlpack(env.reset(seed=2)[1]["pose"]).clone()
-    episode = torch.from_dlpack(env._infos()["episode"]).clone()
+    episode = torch.from_dlpack(env._telling.inform()["episode"]).clone()
     walker = PlanWalker(env, episode, pose)
     rows, plans = torch.arange(3), torch.tensor([[FORWARD] * 6, [LEFT, STOP] * 3, [RIGHT] * 6])
     first = walker.walk(rows, plans)
@@ -87,7 +87,7 @@ def test_agents_neither_disturb_plans_nor_feel_them(make_env) -> None:
 def test_places_in_a_wall_and_other_shapes_are_refused(make_env) -> None:
     env = make_env(2, sensors=("goal_vector",))
     pose = torch.from_dlpack(env.reset(seed=2)[1]["pose"]).clone()
-    episode = torch.from_dlpack(env._infos()["episode"]).clone()
+    episode = torch.from_dlpack(env._telling.inform()["episode"]).clone()
     outside = pose.clone()
     outside[1, 0] = 500.0
     with pytest.raises(SimError, match=r"place 1, episode .*blocked"):

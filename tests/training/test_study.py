@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -36,7 +36,7 @@ from gn0.training.study.crossed_intervals import (
 )
 from gn0.training.study.outcomes import Found
 from gn0.training.study.study_file import Claim, Difference, Study, load_study
-from gn0.training.study.study_page import write_study
+from gn0.training.study.study_page import _tell_basis, write_study
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 STUDY = """
@@ -243,7 +243,6 @@ def test_runs_of_the_benchmark_stand_beside_walks(
     flats_suite, tmp_path: Path, worker_here: None
 ) -> None:
     """Kinds and tiers of their episodes are those that walks of the same exam know."""
-    from dataclasses import replace
 
     run_suite(flats_suite, "straight", tmp_path / "walks/straight-0/unseen")
     own = Found(load_study(_write(tmp_path)), tmp_path, print)
@@ -348,6 +347,13 @@ def test_the_same_values_have_the_same_interval_and_equal_policies_none() -> Non
     )
     with pytest.raises(ConfigError, match="no mean"):
         estimate_mean(np.array([[np.nan, 1.0]]), ["a", "b"])
+
+
+def test_a_basis_of_one_is_told_as_one() -> None:
+    one = Estimate(0.0, 0.0, 0.0, 0.0, seeds=1, scenes=1, episodes=1, unit="scene")
+    assert _tell_basis(one) == "1 seed, 1 scene, 1 episode"
+    many = replace(one, seeds=3, scenes=10, episodes=2000, unit="episode")
+    assert _tell_basis(many) == "3 seeds, 10 scenes, 2,000 episodes, these very scenes"
 
 
 def test_the_smallest_effect_is_the_textbooks() -> None:

@@ -17,7 +17,14 @@ from gn0.avatars.skinning import SkinWeights
 from gn0.avatars.splat_person import load_splat_person
 from gn0.config import Config
 from gn0.errors import FormatError, StorageError
-from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_atomic
+from gn0.storage import (
+    check_contained,
+    content_hash,
+    plain_path,
+    read_bytes,
+    safe_join,
+    write_atomic,
+)
 
 BANK_FILE = "bank.json"
 LAYOUT = 1
@@ -181,7 +188,7 @@ class AvatarBank:
     """
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
+        self.folder = plain_path(folder)
         check_contained(self.folder)
         path = self.folder / BANK_FILE
         if not path.is_file():
@@ -255,7 +262,7 @@ def open_avatars(source: Path | str, name: str = "") -> list[Avatar]:
     Raises:
         StorageError, FormatError: there is nothing of that name, or it is damaged.
     """
-    path = Path(source)
+    path = plain_path(source)
     if path.is_file() and not name:
         return [load_avatar(path) if path.suffix == ".npz" else load_splat_person(path)]
     bank = AvatarBank(path)

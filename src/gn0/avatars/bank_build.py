@@ -22,7 +22,14 @@ from gn0.errors import ConfigError, FormatError, StorageError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.locked_folder import lock_folder, read_begun, sweep_folder
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
+from gn0.storage import (
+    Journal,
+    check_contained,
+    content_hash,
+    plain_path,
+    storage_error,
+    write_json,
+)
 from gn0.version import source_version
 
 JOURNAL_FILE = "bank.journal"
@@ -56,7 +63,7 @@ def generate_bank(
         ConfigError: settings out of range, or the folder holds another bank.
         StorageError: the folder holds something else, or cannot be written.
     """
-    out = Path(out)
+    out = plain_path(out)
     if not 1 <= count <= 100_000 or not 0.02 <= density <= 4.0:
         raise ConfigError(
             f"{count} people at density {density:g}", where="generate_bank",

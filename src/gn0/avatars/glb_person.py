@@ -36,7 +36,7 @@ from gn0.gaussians.film import decode_srgb
 from gn0.gaussians.gltf_document import find_rows
 from gn0.geometry import F64, quaternion_from_rotation
 from gn0.seeds import random_stream
-from gn0.storage import read_bytes, safe_join
+from gn0.storage import plain_path, read_bytes, safe_join
 
 COUNT = 32_000  # discs
 _TALL = (0.5, 2.6)  # m; others are made as tall as the next
@@ -128,7 +128,7 @@ def load_glb_person(path: Path | str, *, count: int = COUNT) -> Avatar:
         StorageError: the file cannot be read.
         FormatError: damaged, no skin, no skeleton of a person, or no triangles on it.
     """
-    file = Path(path)
+    file = plain_path(path)
     with ExitStack() as stack:
         rest = open_gltf_rest(read_bytes(file, _FILE_MOST), file, stack)
         try:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gn0.avatars.file_source import REWRITE, FileSource, open_source
 from gn0.errors import FormatError
 from gn0.gaussians.sog_zip import load_zip_directory, read_zip_entry
-from gn0.storage import storage_error
+from gn0.storage import plain_path, storage_error
 
 MAGIC = b"\x93NUMPY"
 MEMBER_MOST = 512 << 20  # bytes of one array, unpacked
@@ -45,7 +45,7 @@ class ArrayFile:
     """
 
     def __init__(self, path: Path | str, data: bytes | None = None) -> None:
-        self.path, self._data = Path(path), data
+        self.path, self._data = plain_path(path), data
         with self._open() as source:
             if source.size < 2 or source.read(0, 2, "an .npz file") != b"PK":
                 raise source.refuse(

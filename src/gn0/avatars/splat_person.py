@@ -31,7 +31,7 @@ from gn0.gaussians.splat_files import load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import F64, quaternion_from_rotation, rotation_from_quaternion
 from gn0.render.instance import find_normals
-from gn0.storage import write_atomic
+from gn0.storage import plain_path, write_atomic
 
 BINDING_FILE = "binding.npz"
 _REMEDY = "fit a body to it and write weights_idx, weights and joints (or betas) to binding.npz"
@@ -105,7 +105,7 @@ def load_splat_person(
         FormatError: the binding is missing, of another number of splats, or of no known body; the
             splats are those of a room, or of somebody without legs.
     """
-    file = Path(path)
+    file = plain_path(path)
     found = _load_splats(file)
     side = Path(binding) if binding is not None else file.parent / BINDING_FILE
     if not side.is_file():

@@ -9,7 +9,7 @@ from pathlib import Path
 from gn0.bench.results import load_results
 from gn0.errors import BenchError, FormatError, StorageError
 from gn0.seeds import random_stream
-from gn0.storage import check_contained, read_bytes
+from gn0.storage import check_contained, plain_path, read_bytes
 from gn0.suites.run_files import RESULTS
 
 WALKS = "walks.jsonl"
@@ -27,7 +27,7 @@ def read_outcomes(path: Path | str) -> dict[str, bool]:
         StorageError: nothing there.
         FormatError: a line says neither; names it.
     """
-    place = Path(path)
+    place = plain_path(path)
     if place.is_dir():
         check_contained(place)
     if (place / RESULTS).is_file():

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from gn0.bench.identity import tell_identity
 from gn0.bench.results import Isolation, Moves, PolicyCard
+from gn0.counted import counted
 from gn0.missions.controls import CONTROL_WORDS, Control
-from gn0.missions.episode import MissionFollow, PathSource, tell_pace
+from gn0.missions.episode import Episode, MissionFollow, PathSource, tell_pace
 from gn0.missions.follow_rules import follow_rules
 from gn0.render.open import name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS
@@ -97,14 +98,14 @@ PATH_WORDS: dict[PathSource, str] = {
 }
 
 
-def describe_paths(suite: Suite) -> str:
+def describe_paths(episodes: Sequence[Episode]) -> str:
     """What nDTW and SDTW compare with, and in how many episodes if not in all alike."""
-    counts = Counter(episode.path_source for episode in suite.episodes)
+    counts = Counter(episode.path_source for episode in episodes)
     told = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     if len(told) == 1:
         words = PATH_WORDS[told[0][0]]
     else:
-        words = "; ".join(f"in {n:,} episodes {PATH_WORDS[source]}" for source, n in told)
+        words = "; ".join(f"in {counted(n, 'episode')} {PATH_WORDS[source]}" for source, n in told)
     return f"nDTW and SDTW, by exact DTW: {words}"
 
 
@@ -142,12 +143,17 @@ def protocol_card(
     backend: str = "auto",
     moves: Moves | None = None,
     control: Control = "none",
+    episodes: Sequence[Episode] | None = None,
 ) -> tuple[tuple[str, str], ...]:
     """(what, how) rows of a run; nothing here depends on workers, order or host.
 
     `moves` are the Teleports and Displacements of the run, once it has been run; `control` is what
-    was taken away from the policy.
+    was taken away from the policy; `episodes` are those of the run, all of the suite when None.
     """
+    played = suite.episodes if episodes is None else episodes
+    few = ""
+    if len(played) < len(suite.episodes):
+        few = f"; of its {counted(len(suite.episodes), 'episode')} the first {len(played):,}, by id"
     about, agent = suite.about, suite.about.agent
     preset = find_preset(about.camera)
     width, height = preset.picture_size
@@ -160,7 +166,7 @@ def protocol_card(
         sees += "; pose is exact: odometry without drift, from a start known in the scene's frame"
     radius = about.success_radius
     rows = (
-        ("suite", f"{suite.name}, version {about.version}, hash {suite.hash}"),
+        ("suite", f"{suite.name}, version {about.version}, hash {suite.hash}{few}"),
         ("policy", card.name),
         *_identity_rows(card),
         ("the policy sees", sees),
@@ -196,10 +202,10 @@ def protocol_card(
         ("success", f"STOP at a walking distance < {radius:g} m; equality is a failure"),
         ("oracle success", f"walking distance < {radius:g} m at any pose, start included"),
         ("distances", "geodesic: any-angle shortest path on the agent's inflated map"),
-        ("reference path", describe_paths(suite)),
-        *_goal_rows(suite),
-        *_follow_rows(suite),
-        *_people_rows(suite),
+        ("reference path", describe_paths(played)),
+        *_goal_rows(played),
+        *_follow_rows(suite, played),
+        *_people_rows(played),
         (
             "navigation error",
             "both are reported; profile "
@@ -256,25 +262,25 @@ def _identity_rows(card: PolicyCard) -> tuple[tuple[str, str], ...]:
     return (("policy identity", "; ".join(parts)),)
 
 
-def _goal_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
-    """What counts where words fit several places; no row in a suite that has no such episode."""
-    several = sum(e.goal_set is not None and not e.in_area for e in suite.episodes)
-    areas = sum(e.in_area for e in suite.episodes)
+def _goal_rows(episodes: Sequence[Episode]) -> tuple[tuple[str, str], ...]:
+    """What counts where words fit several places; no row in a run that has no such episode."""
+    several = sum(e.goal_set is not None and not e.in_area for e in episodes)
+    areas = sum(e.in_area for e in episodes)
     if not several and not areas:
         return ()
     return (
         (
             "goals",
-            f"{several} of {len(suite.episodes)} episodes accept every instance that their words "
-            f"fit: distances are to the nearest; {areas} end in an area: success is a STOP inside "
+            f"{several} of {counted(len(episodes), 'episode')} accept every instance that their "
+            f"words fit: distances are to the nearest; {areas} end in an area: success is a STOP inside "
             "it, at no distance",
         ),
     )
 
 
-def _follow_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
-    """What counts where somebody is followed; no row in a suite that has no such episode."""
-    count = sum(isinstance(e.mission, MissionFollow) for e in suite.episodes)
+def _follow_rows(suite: Suite, episodes: Sequence[Episode]) -> tuple[tuple[str, str], ...]:
+    """What counts where somebody is followed; no row in a run that has no such episode."""
+    count = sum(isinstance(e.mission, MissionFollow) for e in episodes)
     if not count:
         return ()
     rules = follow_rules(suite.about.profile)
@@ -287,8 +293,8 @@ def _follow_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
     return (
         (
             "following",
-            f"{count} of {len(suite.episodes)} episodes: a step follows within {rules.reach:g} m "
-            f"of the person, who fills {rules.least_share:.1%} to {rules.most_share:.0%} of the "
+            f"{count} of {counted(len(episodes), 'episode')}: a step follows within "
+            f"{rules.reach:g} m of the person, who fills {rules.least_share:.1%} to {rules.most_share:.0%} of the "
             f"picture{pixels}; STOP {'ends the episode' if rules.stop_ends else 'stands still'}; "
             f"the end is {rules.linger:g} s after the person's track, at a touch ({touch}), when "
             f"lost ({rules.lost_after} steps beyond {rules.lost_beyond:g} m) or after "
@@ -298,11 +304,11 @@ def _follow_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _people_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
-    """How people count in missions to a goal; no row in a suite that has no such episode."""
+def _people_rows(episodes: Sequence[Episode]) -> tuple[tuple[str, str], ...]:
+    """How people count in missions to a goal; no row in a run that has no such episode."""
     among = [
         episode.people
-        for episode in suite.episodes
+        for episode in episodes
         if episode.people and not isinstance(episode.mission, MissionFollow)
     ]
     if not among:
@@ -311,8 +317,8 @@ def _people_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
     return (
         (
             "people",
-            f"{len(among)} of {len(suite.episodes)} episodes have people, {most} at most: they "
-            "move while the agent acts, and are obstacles; a touch is a move cut short because of "
+            f"{len(among)} of {counted(len(episodes), 'episode')} have people, {most} at most: "
+            "they move while the agent acts, and are obstacles; a touch is a move cut short because of "
             "one, by the agent; it ends nothing, and CR is the share of episodes that have one",
         ),
     )

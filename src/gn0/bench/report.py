@@ -58,6 +58,7 @@ from gn0.bench.results import (
 from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
 from gn0.config import load_json
+from gn0.counted import counted
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import follow_rules
@@ -69,7 +70,7 @@ from gn0.render.renderer import DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
-from gn0.storage import safe_join, write_text
+from gn0.storage import plain_path, safe_join, write_text
 from gn0.suites.known_suites import known_suites, remember_suite
 from gn0.suites.profiles import DIFFERENCES
 from gn0.suites.run_files import RUN
@@ -115,7 +116,7 @@ def load_run(folder: Path | str) -> RunData:
         StorageError: no finished run there.
         FormatError: one of its files is damaged.
     """
-    path = Path(folder)
+    path = plain_path(folder)
     return RunData(
         folder=path,
         summary=load_summary(path),
@@ -334,6 +335,7 @@ def _fill(**values: Any) -> str:
         style=Markup(style),  # noqa: S704 (our own file, byte for byte what the hash covers)
         script=Markup(script),  # noqa: S704
         content_policy=policy,
+        counted=counted,
         **values,
     )
 

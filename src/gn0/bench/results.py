@@ -28,7 +28,14 @@ from gn0.geometry import Pose2D
 from gn0.missions.controls import Control
 from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import Action, MapMode, Teleport, Trajectory
-from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
+from gn0.storage import (
+    check_contained,
+    plain_path,
+    read_bytes,
+    safe_join,
+    storage_error,
+    write_atomic,
+)
 from gn0.suites.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.suites.track import Standing
 
@@ -351,7 +358,7 @@ def encode_line(record: Any) -> bytes:
 def iterate_results(run: Path) -> Iterator[EpisodeResult]:
     """The results of a run folder one by one, as this process has just written them there."""
     decoder = msgspec.json.Decoder(EpisodeResult)
-    path = run / RESULTS
+    path = plain_path(run) / RESULTS
     try:
         with open(path, "rb") as stream:
             yield from map(decoder.decode, stream)

@@ -285,7 +285,8 @@ class RunState:
             failed=failed,
             metrics=aggregate(iterate_results(self.out)),
             protocol=protocol_card(
-                self.suite, card, self.identity["code"], settings.backend, moves, settings.control
+                *(self.suite, card, self.identity["code"], settings.backend, moves),
+                *(settings.control, self.episodes),
             ),
             profile=self.suite.about.profile,
             release=report_release(iterate_results(self.out)),

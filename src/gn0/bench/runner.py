@@ -36,6 +36,7 @@ from gn0.missions.controls import Control, check_control, replace_texts
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
+from gn0.storage import plain_path
 from gn0.suites.known_suites import remember_suite
 from gn0.suites.run_files import BYTES_PER_EPISODE
 from gn0.suites.scene_drawing import (
@@ -142,7 +143,7 @@ def run_suite(
     judged = any(isinstance(episode.mission, MissionFollow) for episode in episodes)
     shows = judged or sees_pictures(policy_name, suite.map_mode, isolated=isolate) is True
     shown = check_bank(episodes, bank) if shows or bank is not None else ""
-    out = Path(out)
+    out = plain_path(out)
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
     asked = backend

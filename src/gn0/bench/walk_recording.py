@@ -28,6 +28,7 @@ from gn0.missions.episode import Episode, MissionFollow
 from gn0.progress import Progress, no_progress
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action
+from gn0.storage import plain_path
 from gn0.suites.known_suites import remember_suite
 from gn0.suites.run_files import BYTES_PER_EPISODE, RESULTS
 from gn0.suites.suite import Suite
@@ -172,7 +173,7 @@ def open_recorder(
     """
     check_name(name)
     episodes = choose_episodes(suite, max_episodes)
-    folder = Path(out)
+    folder = plain_path(out)
     check_room(folder, len(episodes) * BYTES_PER_EPISODE)
     backend = "auto"  # what is drawn is for the person alone
     settings = build_settings(suite, HUMAN, {}, (), backend)

@@ -32,8 +32,14 @@ def run(args: Args) -> int:
     """Draw and write; say what is in it."""
     from gn0.avatars.bank import open_avatars
     from gn0.cli.console import draw_progress
+    from gn0.counted import counted
     from gn0.storage import check_writable, write_atomic
-    from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait
+    from gn0.viewer.avatar_sheet import (
+        describe_avatar,
+        draw_avatars,
+        draw_portrait,
+        list_record,
+    )
 
     out = Path(args.out)
     check_writable(out)
@@ -45,8 +51,10 @@ def run(args: Args) -> int:
             sheet = draw_avatars(avatars, progress=progress)
     write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
     if len(avatars) == 1:
-        for key, value in avatars[0].record.items():
+        for key, value in list_record(avatars[0].record):
             print(f"{key:<16}{value}")
-    print(f"{len(avatars)} people" if len(avatars) > 1 else " / ".join(describe_avatar(avatars[0])))
+        print(" / ".join(describe_avatar(avatars[0])))
+    else:
+        print(counted(len(avatars), "person", "people"))
     print(f"written to {out}")
     return 0

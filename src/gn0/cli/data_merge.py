@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 data merge out/shard-1 out/shard-2 out/shard-3 --out out/data
   gn0 data merge out/shard-* --balance weights --out out/data"""
@@ -52,8 +53,9 @@ def run(args: Args) -> int:
             balanced = balance_dataset(dataset, settings, progress=progress)
     about = dataset.about
     print(
-        f"{about.rows:,} samples of {len(dataset.sampled):,} episodes in {len(about.scenes):,} "
-        f"scenes, joined from {len(args.shards)} shards in {args.out}"
+        f"{counted(about.rows, 'sample')} of {counted(len(dataset.sampled), 'episode')} in "
+        f"{counted(len(about.scenes), 'scene')}, joined from "
+        f"{counted(len(args.shards), 'shard')} in {args.out}"
     )
     if balanced is not None:
         print(describe_balance(balanced))

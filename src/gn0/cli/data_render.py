@@ -12,6 +12,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 data render out/data
   gn0 data render out/data --layout lerobot --workers 2
@@ -91,7 +92,7 @@ def run(args: Args) -> int:
     size = sum(record.size for record in manifest.files)
     layout = manifest.settings.layout
     print(
-        f"{len(manifest.files)} files, {size / 1e6:.1f} MB, in {args.dataset}/pictures/{layout}; "
-        "every picture matches its hash"
+        f"{counted(len(manifest.files), 'file')}, {size / 1e6:.1f} MB, in {args.dataset}/pictures/"
+        f"{layout}; every picture matches its hash"
     )
     return 0

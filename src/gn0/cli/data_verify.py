@@ -12,6 +12,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.counted import counted
 
 EXAMPLES = """  gn0 data verify out/data
   gn0 data verify out/data --pixels --workers 2"""
@@ -50,7 +51,8 @@ def run(args: Args) -> int:
         print(damage)
     if len(report.damages) > SHOWN:
         print(f"… and {len(report.damages) - SHOWN} more")
-    size = f"{report.files} files, {report.size / 1e6:.1f} MB, {report.samples} samples"
+    files, samples = counted(report.files, "file"), counted(report.samples, "sample")
+    size = f"{files}, {report.size / 1e6:.1f} MB, {samples}"
     if not report.ok:
         print(f"damaged: {count_damages(report.damages)}, out of {size}")
         print(f"make them again: gn0 data repair {args.dataset}")
@@ -58,7 +60,8 @@ def run(args: Args) -> int:
     caches = ", ".join(report.layouts) or "none: `gn0 data render` makes one"
     print(f"whole: {size}; caches of pictures: {caches}")
     if report.pixels:
-        print(f"the pictures of {report.pixels} samples, drawn again, have the pixels they had")
+        compared = counted(report.pixels, "sample")
+        print(f"the pictures of {compared}, drawn again, have the pixels they had")
     elif args.pixels:
         print("no picture was compared: the rows have no hashes yet (`gn0 data render`)")
     return 0

@@ -161,8 +161,8 @@ def describe_summary(summary: DaggerSummary) -> str:
     to_goals = summary.episodes - summary.following_episodes
     if summary.demonstrated:
         lines = [
-            f"{summary.states:,} states of {summary.episodes:,} walks, each labelled with the next "
-            f"{ACTIONS_AHEAD} actions and 3 m of the walk itself",
+            f"{summary.states:,} states of {counted(summary.episodes, 'walk')}, each labelled with "
+            f"the next {ACTIONS_AHEAD} actions and 3 m of the walk itself",
             f"{summary.arrived} of {to_goals} walks ended at the goal; an obstacle cut "
             f"{summary.collided / states:.1%} of the steps short",
         ]
@@ -183,8 +183,8 @@ def describe_summary(summary: DaggerSummary) -> str:
 
 def _describe_collected(summary: DaggerSummary, states: int) -> list[str]:
     lines = [
-        f"{summary.states:,} states of {summary.episodes:,} episodes, each labelled with "
-        f"{ACTIONS_AHEAD} actions and the next 3 m",
+        f"{summary.states:,} states of {counted(summary.episodes, 'episode')}, each labelled "
+        f"with {ACTIONS_AHEAD} actions and the next 3 m",
         f"the policy said what the expert would do in {summary.agreed / states:.1%} of them, "
         f"was cut short by an obstacle in {summary.collided / states:.1%}",
     ]

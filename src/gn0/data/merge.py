@@ -28,7 +28,7 @@ from gn0.errors import DataError
 from gn0.locked_folder import check_room, lock_folder, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.remote import local_path
-from gn0.storage import Journal, safe_join, storage_error, write_atomic
+from gn0.storage import Journal, plain_path, safe_join, storage_error, write_atomic
 
 _BLOCK = 2**20
 _AGAIN = "give that shard's `gn0 data build --shard` again: it makes what is damaged again"
@@ -62,7 +62,7 @@ def merge_shards(
     folders = [local_path(folder, progress=progress) for folder in shards]
     places = [_Place(folder, load_shard(folder)) for folder in folders]
     check_shards(places)
-    out = Path(out)
+    out = plain_path(out)
     first = places[0].shard
     about = msgspec.structs.replace(first.about, files=(), shard=msgspec.UNSET)
     made = sorted(

@@ -32,7 +32,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.sim.collision import check_places
-from gn0.storage import safe_join, write_bytes
+from gn0.storage import plain_path, safe_join, write_bytes
 
 if TYPE_CHECKING:
     from gn0.data.picture_cache import DrawnStep
@@ -87,7 +87,7 @@ class PartDone(msgspec.Struct, frozen=True):
 
 @lru_cache(maxsize=1)
 def _open(folder: str, stamp: int) -> Dataset:
-    path = Path(folder)
+    path = plain_path(folder)
     return Dataset(path, load_dataset_file(path))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from gn0.counted import counted
 from gn0.data.dataset import Dataset
 from gn0.data.episode_frames import read_frames
 from gn0.data.sample_table import EpisodeRows
@@ -73,7 +74,9 @@ def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.
     sheet = Image.new("RGB", (width + 2 * GAP, HEAD + sum(line.height for line in lines)), PAPER)
     draw = ImageDraw.Draw(sheet)
     light = f" · light: {episode.light.name}" if episode.light is not None else ""
-    title = f"{episode.id} · {episode.scene_id} · {episode.split}{light} · {len(rows)} steps"
+    title = (
+        f"{episode.id} · {episode.scene_id} · {episode.split}{light} · {counted(len(rows), 'step')}"
+    )
     draw.text((GAP, 8), title, SOFT, ImageFont.load_default(13))
     words = textwrap.shorten(episode.instruction, max(40, width // 9), placeholder=" …")
     draw.text((GAP, 30), words, INK, ImageFont.load_default(18))

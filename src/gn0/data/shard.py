@@ -20,7 +20,7 @@ import numpy as np
 from gn0.config import Config, decode_json
 from gn0.data.dataset import PICTURE_FOLDER, DatasetFile, FileRecord, compute_seal
 from gn0.errors import ConfigError, DataError, FormatError
-from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_json
+from gn0.storage import check_contained, content_hash, plain_path, read_bytes, safe_join, write_json
 
 if TYPE_CHECKING:
     from gn0.data.part import PartDone, PartPlan
@@ -252,7 +252,7 @@ def load_shard(path: Path | str) -> ShardFile:
         DataError: it is no shard, or its build has not ended.
         StorageError, FormatError: unreadable, damaged, or of another layout.
     """
-    folder = Path(path)
+    folder = plain_path(path)
     check_contained(folder)
     file = folder / SHARD_FILE
     if not file.is_file():

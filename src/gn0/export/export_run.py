@@ -33,7 +33,14 @@ from gn0.locked_folder import LOCK, holds_leftovers_only, lock_folder, sweep_fol
 from gn0.missions.episode import AgentSpec
 from gn0.missions.sets.lost_goals import AREA_LOST, FOLLOW_LOST, OTHERS_LOST, PEOPLE_LOST
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
+from gn0.storage import (
+    Journal,
+    check_contained,
+    content_hash,
+    plain_path,
+    storage_error,
+    write_json,
+)
 
 JOURNAL = "journal.jsonl"
 SAME_PATH = "another mission of a path that is there: the format has no use for words"
@@ -136,7 +143,7 @@ def run_export(
     """
     exporter = get_dataset_exporter(format) if isinstance(format, str) else format
     settings = settings or ExportSettings()
-    folder = Path(out)
+    folder = plain_path(out)
     job = Job(source, settings, folder)
     exporter.cameras(source, settings)  # an unknown camera is told before anything is written
     told = msgspec.structs.replace(settings, vocabulary=exporter.reads(settings))  # not its path
@@ -322,7 +329,7 @@ def check_export(folder: Path | str, format: str = "") -> list[str]:
         ConfigError: no such format.
         StorageError: no such folder, or no export and no format given.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     if not folder.is_dir():
         raise StorageError("no such folder", where=folder, remedy="check the path")
     check_contained(folder)

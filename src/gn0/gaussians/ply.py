@@ -23,7 +23,7 @@ from gn0.gaussians.ply_header import PlyElement, PlyHeader
 from gn0.gaussians.ply_rows import PlySource, iterate_rows, note_trailing_bytes
 from gn0.gaussians.sh import MAX_DEGREE, degree_of_rest, rest_columns
 from gn0.geometry import F32
-from gn0.storage import write_atomic
+from gn0.storage import plain_path, write_atomic
 
 _MEANS = ("x", "y", "z")
 _SCALES = ("scale_0", "scale_1", "scale_2")
@@ -120,7 +120,7 @@ def save_ply(cloud: GaussianCloud, path: Path | str, *, comments: Sequence[str] 
         FormatError: the cloud is empty or holds values that no reader would keep.
         StorageError: the file cannot be written.
     """
-    path = Path(path)
+    path = plain_path(path)
     check_writable(cloud, path)
     rest = _rest_names(cloud.sh_degree)
     names = (*_MEANS, *_DC, *rest, "opacity", *_SCALES, *_ROTATION)

@@ -32,7 +32,7 @@ from gn0.gaussians.ply_header import PlyElement, PlyHeader
 from gn0.gaussians.ply_rows import PlySource, iterate_rows, note_trailing_bytes
 from gn0.gaussians.sh import degree_of_rest
 from gn0.geometry import F32, F64, U8
-from gn0.storage import write_atomic
+from gn0.storage import plain_path, write_atomic
 
 CHUNK = 256
 _BOUNDS = tuple(f"{e}_{a}" for e in ("min", "max") for a in "xyz") + tuple(
@@ -125,7 +125,7 @@ def save_ply_packed(
         FormatError: the cloud is empty or holds values that no reader would keep.
         StorageError: the file cannot be written.
     """
-    path = Path(path)
+    path = plain_path(path)
     check_writable(cloud, path)
     order = morton_order(cloud.means)
     count = len(order)

@@ -24,7 +24,7 @@ from gn0.gaussians.sog import META_NAME, decode_sog_bundle, decode_sog_folder
 from gn0.gaussians.sog_streamed import INDEX_NAME, decode_sog_streamed
 from gn0.gaussians.splat import decode_splat, looks_like_splat
 from gn0.gaussians.spz import MAGIC, decode_spz, decode_spz_gzip
-from gn0.storage import storage_error
+from gn0.storage import plain_path, storage_error
 
 _HEAD = 4096  # bytes shown to the recognisers
 _CONVERT = "convert it to .ply first, e.g. with PlayCanvas's splat-transform"
@@ -67,7 +67,7 @@ def load_cloud(
             there is no such level.
         StorageError: the file is missing or cannot be read.
     """
-    path = Path(path)
+    path = plain_path(path)
     if "\0" in str(path):
         raise StorageError("file name holds a NUL", where=repr(str(path)), remedy="check the path")
     try:

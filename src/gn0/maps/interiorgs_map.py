@@ -20,7 +20,7 @@ from PIL import Image
 from gn0.errors import FormatError
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.picture import load_grey
-from gn0.storage import read_bytes, write_bytes, write_json
+from gn0.storage import plain_path, read_bytes, write_bytes, write_json
 
 PICTURE, FRAME = "occupancy.png", "occupancy.json"
 GREYS = np.array([255, 0, 127], np.uint8)  # of FREE, OCCUPIED, UNKNOWN
@@ -39,7 +39,7 @@ def load_occupancy(folder: Path | str, *, free_threshold: int = 200) -> Occupanc
         StorageError: a file is missing or unreadable.
         FormatError: a file is damaged, or picture and frame contradict each other.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     frame_path = folder / FRAME
     frame = _load_frame(frame_path)
     grey, _ = load_grey(folder / PICTURE)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gn0.errors import FormatError
 from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
-from gn0.storage import read_bytes
+from gn0.storage import plain_path, read_bytes
 
 WALKABLE = b".GS"  # ground, and swamp reached from ground; water, trees and void are not
 LARGEST = 1 << 26  # cells
@@ -45,7 +45,7 @@ def load_movingai_map(path: Path | str) -> OccupancyGrid:
         StorageError: missing or unreadable.
         FormatError: not a map, cut short, or with rows of another width.
     """
-    path = Path(path)
+    path = plain_path(path)
     data = read_bytes(path, limit=4 * LARGEST).replace(b"\r\n", b"\n")
     header: dict[bytes, bytes] = {}
     at = 0
@@ -105,7 +105,7 @@ def load_movingai_scenario(path: Path | str) -> list[MovingAiQuery]:
         StorageError: missing or unreadable.
         FormatError: not a scenario, or a line that cannot be read.
     """
-    path = Path(path)
+    path = plain_path(path)
     try:
         lines = read_bytes(path, limit=1 << 28).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

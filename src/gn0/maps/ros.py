@@ -12,7 +12,7 @@ from gn0.errors import FormatError, brief
 from gn0.geometry import F64, U8
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.picture import load_grey
-from gn0.storage import safe_join
+from gn0.storage import plain_path, safe_join
 from gn0.yaml_file import load_yaml
 
 # scale and raw maps carry per cents, not verdicts; ROS itself falls back to these thresholds
@@ -33,7 +33,7 @@ def load_ros_map(path: Path | str) -> OccupancyGrid:
         StorageError: a file is missing, unreadable or outside the folder.
         FormatError: the YAML or the picture is damaged, or the map is turned against the axes.
     """
-    path = Path(path)
+    path = plain_path(path)
     settings = _load_settings(path)
     image = settings.get("image")
     if not isinstance(image, str):

@@ -22,7 +22,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.render import cpu_project as project
 from gn0.render.camera import Camera
-from gn0.render.cpu_bin import BLOCK_LEAST, BLOCKS, fill_tiles, scan_tiles
+from gn0.render.cpu_bin import BLOCK_LEAST, BLOCKS, ArrangedView, fill_tiles, scan_tiles
 from gn0.render.cpu_labels import SLOTS, label_tiles
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
 from gn0.render.cpu_parts import NO_GAIN, NO_NORMALS, NamedClouds, PlacedPart
@@ -174,13 +174,12 @@ class RendererCpu:
                 first += len(extra)
             for v, (matrix, cloud) in enumerate(zip(matrices, clouds, strict=True)):
                 placed = self._named.place(instances[v], first)
-                lists = self.arrange(camera, matrix, [(cloud, 0), *moving], placed)
+                view = self.arrange(camera, matrix, [(cloud, 0), *moving], placed)
                 start = time.perf_counter()
                 plain = bool(wants.any()) or shown is None
                 if plain:
                     raster_tiles(
-                        self._buffers.rects,
-                        *lists,
+                        *view,
                         -(-camera.width // TILE),
                         camera.width,
                         camera.height,
@@ -193,7 +192,7 @@ class RendererCpu:
                     )
                 if shown is not None:
                     label_tiles(
-                        *lists,
+                        *view.unboxed,
                         -(-camera.width // TILE),
                         camera.width,
                         camera.height,
@@ -231,18 +230,19 @@ class RendererCpu:
         with _threads(self.options.threads):
             for v, matrix in enumerate(matrices):
                 placed = self._named.place(instances[v], self.size)
-                lists = self.arrange(camera, matrix, [(self.cloud, 0)], placed)
+                view = self.arrange(camera, matrix, [(self.cloud, 0)], placed)
                 codes = [np.full(len(p.codes), k, np.uint32) for k, p in enumerate(placed, 1)]
                 moving = np.concatenate([nobody[:0], *codes])
                 label_tiles(
-                    *lists, *size, False, nobody, moving, self.size, self.label_slots, numbers[v]
+                    *(*view.unboxed, *size, False, nobody, moving, self.size),
+                    *(self.label_slots, numbers[v]),
                 )
                 alone = []
                 for part in placed:
                     opacity = np.empty(shape, np.float32)
-                    lists = self.arrange(camera, matrix, [], [part])
+                    view = self.arrange(camera, matrix, [], [part])
                     raster_tiles(
-                        *(self._buffers.rects, *lists, *size, colour, wants),
+                        *(*view, *size, colour, wants),
                         *(no_u8, no_f32, no_map, opacity),
                     )
                     alone.append(opacity)
@@ -261,10 +261,10 @@ class RendererCpu:
         """Set `marks` [N] to 1 for splats that weigh more than `threshold` in some pixel."""
         with _threads(self.options.threads):
             for matrix in matrices:
-                lists = self.arrange(camera, matrix, [(self.cloud, 0)])
+                view = self.arrange(camera, matrix, [(self.cloud, 0)])
                 tiles_x = -(-camera.width // TILE)
                 mark_tiles(
-                    *(*lists, tiles_x, camera.width, camera.height),
+                    *(*view.unboxed, tiles_x, camera.width, camera.height),
                     *(np.float32(threshold), marks),
                 )
 
@@ -274,8 +274,8 @@ class RendererCpu:
         matrix: F64,
         clouds: list[tuple[PackedCloud, int]],
         placed: Sequence[PlacedPart] = (),
-    ) -> tuple[NDArray[np.generic] | bool, ...]:
-        """Project all clouds and list each tile's splats; what `raster_tiles` takes after pixels.
+    ) -> ArrangedView:
+        """Project all clouds and list each tile's splats; what `raster_tiles` takes first.
 
         Args:
             camera: takes the picture.
@@ -327,8 +327,10 @@ class RendererCpu:
             self.stage_seconds[stage] += end - start
         ordered = all(each.cloud.ordered for each in drawn)
         (rows, spare_rows), (keys, spare_keys) = buffers.tile_rows, buffers.tile_keys
-        lists = (starts, rows, keys, spare_rows, spare_keys)
-        return (buffers.records, buffers.indices, ordered, *lists, spread_rows(tiles_y))
+        return ArrangedView(
+            *(buffers.rects, buffers.records, buffers.indices, ordered),
+            *(starts, rows, keys, spare_rows, spare_keys, spread_rows(tiles_y)),
+        )
 
 
 def _codes_moving(extra: GaussianCloud | None, placed: Sequence[PlacedPart]) -> U32:

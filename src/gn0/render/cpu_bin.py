@@ -7,8 +7,11 @@ number of threads. A tile sorts its own list by (float32 depth bits, index in th
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
+from gn0.geometry import F32
 from gn0.jit import njit, prange
 from gn0.render.cpu_pack import CHUNK
 from gn0.render.cpu_project import ORDER
@@ -19,6 +22,37 @@ _DIGIT, _DIGIT_LONG, _DIGIT_LONGEST = 9, 12, 13  # most bits a radix pass, by th
 _LONG, _LONGEST = 1024, 2400
 _BLOCK = 64  # entries looked at for ties at once
 _SMALL = 24  # lists this short are sorted by insertion
+
+
+class ArrangedView(NamedTuple):
+    """The splats of a view, tile by tile, as kernels take them; good until the next view.
+
+    Attributes:
+        rects: int16 [rows, 4] px, first and past-the-last pixel of each row in x, then in y.
+        records: [rows, RECORD], see `gn0.render.cpu_project`.
+        indices: uint32 [rows], of each row in its cloud.
+        ordered: whether rows come in the order of their indices.
+        starts: int32 [tiles + 1], where the list of each tile begins.
+        tile_rows, tile_keys: rows and depth keys of all lists, not sorted yet.
+        spare_rows, spare_keys: memory for sorting, as large.
+        row_order: the rows of tiles, so that threads have their share of each part.
+    """
+
+    rects: Any
+    records: F32
+    indices: Any
+    ordered: bool
+    starts: Any
+    tile_rows: Any
+    tile_keys: Any
+    spare_rows: Any
+    spare_keys: Any
+    row_order: Any
+
+    @property
+    def unboxed(self) -> tuple[Any, ...]:
+        """All but `rects`, for kernels that do not look at them."""
+        return self[1:]
 
 
 @njit

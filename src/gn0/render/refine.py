@@ -169,16 +169,16 @@ class _Fit:
         chunks = listed[: cull_chunks(packed.boxes, parameters, False, listed)]
         if not len(chunks):
             return 0.0
-        lists = self.renderer.arrange(camera, view, [(packed, 0)])
-        records, indices, ordered, starts, rows, keys, spare_rows, spare_keys, _ = lists
+        arranged = self.renderer.arrange(camera, view, [(packed, 0)])
+        records, indices, ordered, starts, rows, keys, spare_rows, spare_keys, _ = arranged.unboxed
         sort_tiles(rows, keys, spare_rows, spare_keys, starts, indices, records, ordered)
-        entries = int(starts[-1])  # type: ignore[index]
+        entries = int(starts[-1])
         if len(self.sums) < entries:
             self.sums = np.empty((entries + entries // 4, SUMS), np.float32)
         count = len(chunks) * CHUNK
         if len(self.rows) < count:
             self.rows = np.empty((count + count // 4, SUMS), np.float32)
-        errors = np.zeros(len(starts) - 1)  # type: ignore[arg-type]
+        errors = np.zeros(len(starts) - 1)
         sum_entries(
             *(records, rows, starts, spread_rows(-(-camera.height // 16))),
             *(-(-camera.width // 16), camera.width, camera.height, target, _SCALE),

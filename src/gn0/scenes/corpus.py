@@ -19,13 +19,13 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from gn0.config import Config, load_json
-from gn0.errors import ConfigError, FormatError
+from gn0.errors import ConfigError, FormatError, StorageError
 from gn0.scenes.folder import check_scene_id
 from gn0.scenes.procedural.forms import MOST, hold_out_forms
 from gn0.scenes.procedural.kinds import KINDS, SizeName, StyleName
 from gn0.scenes.scene_sources import scene_id_from
 from gn0.seeds import random_stream
-from gn0.storage import safe_join
+from gn0.storage import plain_path, safe_join
 from gn0.yaml_file import load_yaml
 
 CORPUS_FILE, SCENE_FOLDER = "corpus.json", "scenes"
@@ -147,7 +147,7 @@ def load_spec(path: Path | str) -> CorpusSpec:
         FormatError: not YAML, or a field is missing, unknown or of the wrong type.
         ConfigError: it contradicts itself.
     """
-    path = Path(path)
+    path = plain_path(path)
     try:
         spec = msgspec.convert(load_yaml(path, remedy="see docs: corpus"), CorpusSpec)
     except msgspec.ValidationError as error:
@@ -169,6 +169,10 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
         where = f"{path}, part {number}".lstrip(", ")
         if bool(part.kind) == bool(part.path):
             raise ConfigError("give a kind or a path, not both or neither", where=where)
+        try:
+            plain_path(part.path)
+        except StorageError as error:
+            raise ConfigError(error.what, where=where, remedy=error.remedy) from None
         if part.kind and part.kind not in KINDS:
             raise ConfigError(
                 f"no kind of building {part.kind!r}",
@@ -297,7 +301,7 @@ def load_corpus(path: Path | str) -> CorpusFile:
         StorageError: it is missing (a run that has not ended has none), or a folder leaves it.
         FormatError: damaged, or of another layout.
     """
-    folder = Path(path)
+    folder = plain_path(path)
     about = load_json(folder / CORPUS_FILE, CorpusFile)
     if about.layout != LAYOUT:
         raise FormatError(

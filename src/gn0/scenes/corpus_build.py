@@ -30,7 +30,14 @@ from gn0.scenes.corpus import (
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.scenes.scene_sources import import_scene
-from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
+from gn0.storage import (
+    Journal,
+    check_contained,
+    content_hash,
+    plain_path,
+    storage_error,
+    write_json,
+)
 
 JOURNAL_FILE = "corpus.journal"
 _BUILD = "gn0.scenes.corpus_build:build_corpus_scene"
@@ -64,7 +71,7 @@ def generate_corpus(
         ConfigError: `out` holds another corpus, or the spec contradicts itself.
         SceneError, FormatError: a scene cannot be made; those before it are kept.
     """
-    out = Path(out)
+    out = plain_path(out)
     spec = check_config(spec)
     plan = plan_corpus(spec)
     digest = content_hash(msgspec.json.encode(spec, order="deterministic"))

@@ -46,6 +46,7 @@ from gn0.storage import (
     content_hash,
     find_path_fault,
     folder_atomic,
+    plain_path,
     read_bytes,
     safe_join,
     write_bytes,
@@ -112,7 +113,7 @@ def save_scene(
         StorageError: `out` exists and is not empty, or cannot be written.
         SceneError: ids are not plain names, or the scene contradicts itself.
     """
-    out = Path(out)
+    out = plain_path(out)
     check_scene_id(scene.id)
     _check_references(scene.objects, scene.rooms, "scene")
     cloud = scene.gaussians

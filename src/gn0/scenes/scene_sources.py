@@ -14,7 +14,7 @@ from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION
 from gn0.scenes.scene import Scene
 from gn0.scenes.world_defects import Tell, no_tell
-from gn0.storage import check_replaceable
+from gn0.storage import check_replaceable, plain_path
 
 
 class ImportSettings(Config, frozen=True):
@@ -140,7 +140,7 @@ def import_scene(
         SceneError, FormatError: not a scene, or a damaged one.
         ConfigError: a setting is of the wrong type.
     """
-    path, out = Path(path), Path(out)
+    path, out = plain_path(path), plain_path(out)
     low, high = height_band
     if not 0 <= low < high <= 100:
         raise SceneError(

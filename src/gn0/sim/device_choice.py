@@ -1,4 +1,4 @@
-"""Which episodes somebody asks agents on a device to play, by numbers, ids or themselves."""
+"""Which agents on a device somebody means, and which episodes they are asked to play."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from gn0.errors import EpisodeError
+from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import Episode
 
 
@@ -56,3 +57,23 @@ def choose_episodes(
             )
         numbers.append(int(own[index]))
     return np.resize(np.array(numbers, np.int64), count)
+
+
+def choose_masked(mask: Any, count: int, *, begun: bool) -> NDArray[np.int64]:
+    """Numbers [K] of the agents that a reset is for; all of `count` without a mask.
+
+    Raises:
+        ConfigError: the mask is not `count` booleans, or all of them are False.
+        ResetNeeded: not all were reset before (`begun`), and now only some should be.
+    """
+    if mask is None:
+        return np.arange(count)
+    mask = np.asarray(mask)
+    if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
+        raise ConfigError(
+            f"reset_mask is {mask.dtype} {mask.shape}",
+            remedy=f"give {count} booleans, at least one of them True",
+        )
+    if not begun and not mask.all():
+        raise ResetNeeded("reset all environments before some of them")
+    return np.flatnonzero(mask)

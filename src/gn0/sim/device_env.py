@@ -37,16 +37,16 @@ from gn0.progress import Progress
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_choice import choose_episodes
+from gn0.sim.device_choice import choose_episodes, choose_masked
 from gn0.sim.device_eyes import device_reader, refuse_host_sensors
 from gn0.sim.device_labels import ExpertDevice, LabelsDevice
 from gn0.sim.device_people import CompanyDevice
 from gn0.sim.device_sight import admit_people, open_eyes
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
-from gn0.sim.device_there import AgentsThere
+from gn0.sim.device_telling import TellingDevice
 from gn0.sim.device_walkers import WalkersDevice
-from gn0.sim.device_words import LayoutDevice, ObservationsDevice, WordsDevice, rename_words
+from gn0.sim.device_words import LayoutDevice, Observations, WordsDevice, rename_words
 from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.env import build_spaces, picture_names, shape_of_maps
 from gn0.sim.motion import Motion
@@ -64,7 +64,6 @@ if TYPE_CHECKING:
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
 AHEAD = 8  # draws held ready an environment
-Observations = dict[str, DeviceArray]
 
 
 class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]):
@@ -215,24 +214,27 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             roles=None if self._eyes is None else self._eyes.roles_of,
         )
         self.copy, self.channels_first = copy, channels_first
-        moved = picture_names(self.sensors, camera) if channels_first else ()
-        self._layout = LayoutDevice(self.simulator, moved, copy)
         table = None
         if "instruction_tokens" in self.words:
             table = WordTable(self.simulator.store.episodes, vocabulary)
-        self._told = WordsDevice(self.simulator, self.words, table)
-        self._now = AgentsThere(self.simulator, self._eyes)
-        self._last = AgentsThere(self.simulator, self._eyes, final=True)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
             build_spaces(self.sensors, camera, map_shape, channels_first, view)
             | word_spaces(self.words, self.tasks.episodes, table)
             | {"collided": spaces.Discrete(2)}
         )
+        moved = picture_names(self.sensors, camera) if channels_first else ()
+        self._telling = TellingDevice(
+            self.simulator,
+            self._eyes,
+            self._at_once,
+            WordsDevice(self.simulator, self.words, table),
+            LayoutDevice(self.simulator, moved, copy),
+            tuple(self.single_observation_space.spaces),
+            last_pictures=final_pictures,
+        )
         self._states = StatesDevice(self.simulator, self._eyes)
         self._everyone = np.arange(num_envs)
-        self._nobody = self.device.zeros(num_envs, np.bool_)
-        self._seen: Observations = {}
         self._expert: ExpertDevice | None = None
         self._begun = False
 
@@ -258,7 +260,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         Raises:
             ConfigError: `instruction_tokens` is not among the sensors.
         """
-        return self._told.table
+        return self._telling.words.table
 
     @property
     def memory(self) -> dict[str, int]:
@@ -288,7 +290,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             SimError: a device action before was none.
         """
         options = options or {}
-        which = self._masked(options.get("reset_mask"))
+        which = choose_masked(options.get("reset_mask"), self.num_envs, begun=self._begun)
         if isinstance(seed, int | np.integer):
             seed = [int(seed) + i for i in range(self.num_envs)]
         if seed is not None and len(seed) != self.num_envs:
@@ -303,7 +305,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.simulator.limit_steps(self.tasks.max_steps)
         self.simulator.reset(which, seed, chosen)
         self._begun = True
-        return self._observe(), self._infos()
+        return self._telling.observe(), self._telling.inform()
 
     def place(
         self,
@@ -338,7 +340,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         which = self._pick_agents(agents)
         there = self._states.read_places(len(which), poses, steps, collided, tiles)
         self._states.place(which, self._choose(episodes, len(which)), there)
-        return self._observe(), self._infos()
+        return self._telling.observe(), self._telling.inform()
 
     def place_uniform(
         self,
@@ -370,7 +372,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         which = self._pick_agents(agents)
         numbers = None if episodes is None else self._choose(episodes, len(which))
         self._states.place_uniform(int(seed), which, numbers, near)
-        return self._observe(), self._infos()
+        return self._telling.observe(), self._telling.inform()
 
     def turn_agents(self, turns: Any) -> tuple[Observations, dict[str, Any]]:
         """Turn all agents on the spot by whole turns; no step is taken, and nothing is waited for.
@@ -391,7 +393,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         if not isinstance(given, DeviceArray):
             given = self.device.upload(given)
         self._states.turn(given)
-        return self._observe(), self._infos()
+        return self._telling.observe(), self._telling.inform()
 
     def mute(self, *names: str) -> None:
         """Leave picture sensors out of observations from now on; without names, none.
@@ -485,7 +487,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._begun = False  # if this fails, all must be reset
         self._states.restore(states, which, chosen, draws=draws)
         self._begun = True
-        return self._observe(), self._infos()
+        return self._telling.observe(), self._telling.inform()
 
     def step(
         self, actions: Any
@@ -507,13 +509,13 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             EpisodeError: an episode among those drawn does not fit its scene.
         """
         self._advance(actions, None, None)
-        final = self._final()
+        final = self._telling.inform_last()
         rewards, terminated, truncated = (
             self.simulator.outputs[name] for name in ("rewards", "terminated", "truncated")
         )
-        own = self._layout.own
-        infos = self._infos() | final
-        return self._observe(), own(rewards), own(terminated), own(truncated), infos
+        own = self._telling.layout.own
+        infos = self._telling.inform() | final
+        return self._telling.observe(), own(rewards), own(terminated), own(truncated), infos
 
     def step_into(
         self, actions: Any, codes: DeviceArray, into: Mapping[str, DeviceArray]
@@ -526,7 +528,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             into: outputs by name (`gn0.sim.device_layout.OUTPUT_FIELDS`), in place of our own.
         """
         self._advance(actions, codes, into)
-        return self._observe()
+        return self._telling.observe()
 
     def observe(self) -> Observations:
         """What was last observed.
@@ -536,7 +538,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        return ObservationsDevice(self._layout.hand_out(self._seen))
+        return self._telling.observe_again()
 
     def labels(self, stop_distance: float = STOP_DISTANCE) -> LabelsDevice:
         """What the expert would do where each agent stands: labels of variant `field`.
@@ -555,7 +557,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before labels()")
-        return LabelsDevice(*map(self._layout.own, self._find_expert().label(stop_distance)))
+        return LabelsDevice(
+            *map(self._telling.layout.own, self._find_expert().label(stop_distance))
+        )
 
     def _advance(
         self, actions: Any, codes: DeviceArray | None, into: Mapping[str, DeviceArray] | None
@@ -591,8 +595,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release scenes, renderer and device memory."""
-        self._seen, self._eyes, self._expert, self._begun = {}, None, None, False
-        del self.simulator, self._now, self._last, self._told, self._layout, self._states
+        self._eyes, self._expert, self._begun = None, None, False
+        del self.simulator, self._telling, self._states
 
     def _admit(self, episodes: Sequence[Episode]) -> None:
         """Refuse episodes that cannot be played here.
@@ -601,19 +605,6 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             EpisodeError: names the first of them.
         """
         admit_people(episodes, self._config, self._eyes)
-
-    def _masked(self, mask: Any) -> NDArray[np.int64]:
-        if mask is None:
-            return self._everyone
-        mask = np.asarray(mask)
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise ConfigError(
-                f"reset_mask is {mask.dtype} {mask.shape}",
-                remedy=f"give {self.num_envs} booleans, at least one of them True",
-            )
-        if not self._begun and not mask.all():
-            raise gymnasium.error.ResetNeeded("reset all environments before some of them")
-        return np.flatnonzero(mask)
 
     def _pick_agents(self, agents: Any) -> NDArray[np.int64]:
         """Numbers [K] of agents, each once; all when None."""
@@ -629,7 +620,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
     def _add(self, episode: Episode) -> int:
         """The number of an episode that may be a new one."""
-        self._told.check(episode)
+        self._telling.words.check(episode)
         self._admit([episode])
         return int(self.simulator.add_episodes([episode])[0])
 
@@ -637,51 +628,6 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def _known(self) -> dict[str, int]:
         """Indices of the episodes by id; of several with one id the last."""
         return {episode.id: number for number, episode in enumerate(self.tasks.episodes)}
-
-    def _observe(self) -> Observations:
-        simulator = self.simulator
-        found = self._told.tell() | {"collided": simulator.outputs["collided"]}
-        found |= {name: read(self._now) for name, read in self._at_once}
-        if self._eyes is not None:
-            found |= self._layout.turn(self._eyes.draw(simulator))
-        named = self.single_observation_space.spaces  # type: ignore[attr-defined]
-        self._seen = {name: found[name] for name in named if name in found}
-        return ObservationsDevice(self._layout.hand_out(self._seen))
-
-    def _infos(self) -> dict[str, Any]:
-        """What a robot cannot know."""
-        outputs = self.simulator.outputs
-        return self._layout.hand_out(
-            {
-                "episode": outputs["episode"],
-                "scene": outputs["scene"],
-                "pose": outputs["pose"],
-                "distance_to_goal": outputs["distance"],
-                "success": self._nobody,  # whoever succeeded is in the next episode already
-                **self.simulator.company.tell(),
-            }
-        )
-
-    def _final(self) -> dict[str, Any]:
-        """The last of episodes that ended: arrays [N, …], zero elsewhere."""
-        simulator, outputs = self.simulator, self.simulator.outputs
-        seen: dict[str, Any] = {"collided": outputs["final_collided"]}
-        seen |= self._told.tell("final_")
-        seen |= {name: read(self._last) for name, read in self._at_once}
-        if self.final_pictures and self._eyes is not None:
-            seen |= self._layout.turn(self._eyes.draw_final(simulator))
-        last = {
-            "episode": outputs["final_episode"],
-            "pose": outputs["final_pose"],
-            "distance_to_goal": outputs["final_distance"],
-            "success": outputs["final_success"],
-            **self.simulator.company.tell("final_"),
-        }
-        return {
-            "final_obs": ObservationsDevice(self._layout.hand_out(seen)),
-            "final_info": self._layout.hand_out(last),
-            "_final_info": self._layout.own(outputs["ended"]),
-        }
 
 
 def _open(name: str) -> Device:

@@ -17,7 +17,8 @@ import numpy as np
 
 from gn0.device.device import DeviceArray
 from gn0.errors import ConfigError, SimError
-from gn0.sim.device_env import Observations, VectorEnvDevice
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.device_words import Observations
 
 Policy = Callable[[Observations], Any]
 

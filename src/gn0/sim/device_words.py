@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gn0.sim.device_state import SimulatorDevice
 
 THREADS = 256
+Observations = dict[str, DeviceArray]
 OLD_NAME = (
     "a device has no texts: 'instruction' gives the number of the episode there; "
     "name 'instruction_index' (docs/learning.md)"

@@ -7,7 +7,9 @@ lit and packed. Where hundreds are opened, several processes do that; the cache 
 from __future__ import annotations
 
 import os
+import zlib
 from collections import defaultdict
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from gn0.sim.look_map import draw_map
 from gn0.sim.open import name_look, split_look
 from gn0.sim.scene_looks import SceneLooks
 
+CARDS = Path("/proc/driver/nvidia/gpus")  # a folder for each, named by its bus
 FEW = 64  # pictures that are drawn as soon by one process, which need not start
 PROCESSES = 12  # at most
 ROOM = 2**30  # bytes of a card for each: its context and a scene
@@ -110,11 +113,30 @@ def _open(device: str) -> Renderer:
     return open_renderer("cuda", device=open_device(device))
 
 
-def number_card(ordinal: int) -> int:
-    """The card's number on the machine: processes that were given one each all call it 0."""
+def number_card(ordinal: int, cards: Path = CARDS) -> int:
+    """The card's number on the machine: processes that were given one each all call it 0.
+
+    A card that goes by its UUID has its place among `cards`, where the driver lists them. One that
+    is not there, as a slice of a card, has a large number of its own.
+    """
     shown = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
     named = shown[ordinal].strip() if ordinal < len(shown) else ""
-    return int(named) if named.isdecimal() else ordinal
+    if not named.startswith(("GPU-", "MIG-")):
+        return int(named) if named.isascii() and named.isdecimal() else ordinal
+    places = [n for n, uuid in enumerate(_list_cards(cards)) if uuid.startswith(named)]
+    return places[0] if len(places) == 1 else zlib.crc32(named.encode())
+
+
+def _list_cards(cards: Path) -> list[str]:
+    """UUIDs of the machine's cards in the order of their buses; none where no driver is."""
+    found = []
+    with suppress(OSError, ValueError):
+        for file in sorted(cards.glob("*/information")):
+            lines = dict(
+                line.split(":", 1) for line in file.read_text().splitlines() if ":" in line
+            )
+            found.append(lines.get("GPU UUID", "").strip())
+    return found
 
 
 def place_evenly(number: int) -> float:

@@ -21,7 +21,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.state import MapMode
-from gn0.storage import read_bytes, safe_join
+from gn0.storage import plain_path, read_bytes, safe_join
 
 SUITE_LIMIT = 2**26  # bytes of suite.json
 EXAMPLE_EPISODES = 12
@@ -107,7 +107,7 @@ def load_tasks(
     if suite is not None:
         if scene is not None:
             raise ConfigError("both scene and suite are given", remedy="give one of them")
-        folder = Path(suite)
+        folder = plain_path(suite)
         file = folder / "suite.json"
         view = decode_json(read_bytes(file, SUITE_LIMIT), _SuiteView, file=file)
         paths = {entry.id: safe_join(folder, entry.folder) for entry in view.scenes}

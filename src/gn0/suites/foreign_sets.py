@@ -33,7 +33,7 @@ from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
-from gn0.storage import safe_join, write_json
+from gn0.storage import plain_path, safe_join, write_json
 from gn0.suites.profiles import profile_settings
 from gn0.suites.suite import Suite, save_suite
 
@@ -276,7 +276,7 @@ def export_set(
         raise ConfigError(
             f"{format} has no tokens", where="--vocabulary", remedy="leave it out, or write vlnce"
         )
-    target = Path(out)
+    target = plain_path(out)
     if target.exists() and not (overwrite and target.is_file()):
         from gn0.errors import StorageError
 

@@ -54,6 +54,7 @@ from gn0.storage import (
     TEMPORARY_PREFIX,
     content_hash,
     folder_atomic,
+    plain_path,
     read_bytes,
     storage_error,
     write_atomic,
@@ -161,7 +162,7 @@ def generate_missions(
         EpisodeError: no scene has a single path.
         ConfigError: an unknown camera or language provider.
     """
-    out = Path(out)
+    out = plain_path(out)
     settings = settings or MissionSettings()
     entries = list_scenes(scenes, split, progress)
     options = dict(language_options or {})

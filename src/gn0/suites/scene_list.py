@@ -10,7 +10,7 @@ from gn0.errors import SceneError
 from gn0.progress import Progress, no_progress
 from gn0.scenes.corpus import CORPUS_FILE, load_corpus
 from gn0.scenes.folder import load_scene
-from gn0.storage import safe_join
+from gn0.storage import plain_path, safe_join
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def list_scenes(
     """
     folders: list[tuple[Path, str, bool]] = []
     holds_out = split == "train"
-    for given in map(Path, paths):
+    for given in map(plain_path, paths):
         if (given / CORPUS_FILE).is_file():
             folders += [
                 (safe_join(given, scene.folder), scene.split, scene.val_seen)

@@ -46,6 +46,7 @@ from gn0.storage import (
     check_replaceable,
     content_hash,
     folder_atomic,
+    plain_path,
     safe_join,
     write_json,
 )
@@ -421,10 +422,10 @@ def build_suite(
     """
     body = agent or find_preset(camera).agent
     check_replaceable(out, overwrite=overwrite, marker=SUITE_FILE)
-    for path in scene_paths:  # a scene would be copied into itself
-        if Path(out).resolve().is_relative_to(Path(path).resolve()):
+    for given in map(plain_path, scene_paths):  # a scene would be copied into itself
+        if Path(out).resolve().is_relative_to(given.resolve()):
             raise StorageError(
-                f"lies inside the scene folder {path}", where=out, remedy="choose another --out"
+                f"lies inside the scene folder {given}", where=out, remedy="choose another --out"
             )
     scenes: list[Scene] = []
     episodes: list[Episode] = []
@@ -470,7 +471,7 @@ def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
         StorageError: neither a suite nor a scene.
         BenchError: `beside/suite` is of another scene.
     """
-    folder = Path(path)
+    folder = plain_path(path)
     if (folder / SUITE_FILE).is_file():
         return load_suite(folder)
     if not (folder / "scene.json").is_file():

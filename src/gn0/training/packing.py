@@ -14,7 +14,7 @@ from gn0.errors import CheckpointError
 from gn0.policies.bae.draws import check_draw_after
 from gn0.policies.bae.policy_bae import digest_checkpoint
 from gn0.policies.bae.shipped import find_checkpoint
-from gn0.storage import check_replaceable, read_bytes
+from gn0.storage import check_replaceable, plain_path, read_bytes
 from gn0.training.pupil import choose_default, load_pupil
 from gn0.training.runs.model_card import build_card
 from gn0.training.runs.run_folder import RUN
@@ -76,7 +76,7 @@ def pack_policy(
         TrainingError: walks are missing or unfinished, or of another policy.
         StorageError: the folder cannot be written, or holds something else.
     """
-    home, folder = Path(run), Path(out)
+    home, folder = plain_path(run), plain_path(out)
     source = find_checkpoint(str(run))
     check_replaceable(folder, overwrite=overwrite, marker="shards.json")
     pupil = load_pupil(source)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -10,8 +10,10 @@ from PIL import Image, ImageDraw, ImageFont
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.poses import standing_pose, trial_poses
 from gn0.avatars.skeleton import INDEX
+from gn0.avatars.wardrobe import BOTTOMS, HAIR, SHOES, TOPS
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64, U8
+from gn0.missions.language.person_nouns import garment_word, pattern_word, say_garment, say_hair
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
@@ -23,6 +25,8 @@ INK, SOFT, PAPER = (24, 26, 30), (110, 114, 122), (222, 222, 220)
 _EYE, _AIM, _FAR = 1.35, 0.93, 4.4  # height of the eye and what it looks at, distance [m]
 _TURNS = (0.35, 3.5)  # from where a person is seen [rad]
 _SLOPE = 28.0  # field of view [degrees]
+
+_CUTS = {"top": frozenset(TOPS), "bottom": frozenset(BOTTOMS), "shoes": frozenset(SHOES)}
 
 
 def draw_avatars(
@@ -65,19 +69,34 @@ def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
 
     def worn(what: str) -> str:
         pattern = r.get(f"{what}_pattern", "plain")
-        words = (
-            r.get(f"{what}_colour", ""),
-            "" if pattern == "plain" else pattern,
-            r.get(what, ""),
-        )
-        return " ".join(word.replace("_", " ") for word in words if word)
+        told = "" if pattern == "plain" else pattern_word(pattern)
+        return say_garment(name_word(r, what), r.get(f"{what}_colour", ""), told)
 
     extra = "" if r.get("extra", "none") == "none" else f" + {r['extra_colour']} {r['extra']}"
     return (
-        f"{avatar.name} {r.get('age', '')} {r.get('sex', '')}, {r.get('build', '')}",
+        f"{avatar.name} {r.get('age', '')} {r.get('sex', '')}, {r.get('build', '')} build",
         worn("top") + extra,
         "" if r.get("bottom") == "none" else worn("bottom"),
     )
+
+
+def list_record(record: Mapping[str, str]) -> list[tuple[str, str]]:
+    """A record as lines of key and value, with English words behind cuts that are called else."""
+    lines = []
+    for key, value in record.items():
+        word = name_word(record, key) if value != "none" else value
+        lines.append((key, value if word == value else f"{value} ({word})"))
+    return lines
+
+
+def name_word(record: Mapping[str, str], key: str) -> str:
+    """What a cut of a record is called, as missions call it; a value that is no cut, itself."""
+    value = record.get(key, "")
+    if key == "hair" and value in HAIR:
+        return say_hair(value)
+    if value in _CUTS.get(key, frozenset()):
+        return garment_word(key, value)
+    return pattern_word(value) if key.endswith("_pattern") else value.replace("_", " ")
 
 
 def draw_avatar(avatar: Avatar, pose: F64 | None, turns: Sequence[float]) -> list[U8]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw
 
+from gn0.counted import counted
 from gn0.progress import Progress, no_progress
 from gn0.render.open import build_renderer
 from gn0.scenes.corpus import CorpusFile
@@ -40,7 +41,7 @@ def render_corpus(
     rows = -(-len(scenes) // columns)
     sheet = Image.new("RGB", (width, 64 + rows * (_TILE + _TEXT + _GAP) + _GAP), PAPER)
     pen = ImageDraw.Draw(sheet)
-    title = f"{corpus.name}: {len(corpus.scenes)} scenes"
+    title = f"{corpus.name}: {counted(len(corpus.scenes), 'scene')}"
     if left_out:
         title += f", {left_out} not shown"
     pen.text((_GAP, 14), title, font=font(28), fill=INK)

@@ -19,6 +19,7 @@ from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.report_follow import tell_end
 from gn0.bench.results import EpisodeResult
 from gn0.bench.walk_recording import WalkRecorder
+from gn0.counted import counted
 from gn0.errors import EpisodeError
 from gn0.geometry import U8
 from gn0.missions.episode import Episode, MissionFollow
@@ -332,7 +333,7 @@ def tell_result(result: EpisodeResult | None) -> str:
         return (
             f"**{'Success' if f.success else 'No success'}:** {tell_end(f.end, f.success)} · "
             f"{100 * f.following_rate:.0f} % followed · {f.distance_error:.2f} m off the distance "
-            f"to keep · {f.steps} steps, {f.losses} losses"
+            f"to keep · {counted(f.steps, 'step')}, {counted(f.losses, 'loss', 'losses')}"
         )
     if result.metrics is None:
         return f"**No score:** {plain(result.reason)}"
@@ -346,7 +347,7 @@ def tell_result(result: EpisodeResult | None) -> str:
     return (
         f"{head} SPL {100 * m.spl:.0f} % · {m.navigation_error_geodesic:.2f} m from the goal · "
         f"{m.trajectory_length:.2f} m walked, {m.shortest_length:.2f} m the shortest way · "
-        f"{m.steps} steps, {m.collisions} cut short"
+        f"{counted(m.steps, 'step')}, {m.collisions} cut short"
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from gn0.counted import counted
 from gn0.maps.grid import OCCUPIED, UNKNOWN
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.people.person import RADIUS
@@ -189,8 +190,8 @@ def _caption(episodes: Sequence[Episode]) -> list[str]:
     if not episodes:
         return ["no episode"]
     paths = len({(e.start, e.path, e.goal) for e in episodes})
-    along = f" along {paths} paths" if paths < len(episodes) else ""
-    return [f"{len(episodes)} episodes of {episodes[0].scene_id}{along}"]
+    along = f" along {counted(paths, 'path')}" if paths < len(episodes) else ""
+    return [f"{counted(len(episodes), 'episode')} of {episodes[0].scene_id}{along}"]
 
 
 def _wrap(lines: Sequence[str], width: int) -> list[str]:

@@ -88,7 +88,7 @@ class DrawerCpu(Drawer):
                 parts.append((moving[tail_of[v]], clouds[cloud_of[v]].size))
             lists = cpu.arrange(camera, matrix, parts)
             raster_tiles(
-                *(cpu._buffers.rects, *lists),
+                *lists,
                 *(-(-camera.width // TILE), camera.width, camera.height, background, wants),
                 none8 if out[0] is None or as_float else out[0][row],
                 none32 if not as_float else out[0][row],
@@ -109,7 +109,7 @@ class DrawerCpu(Drawer):
             cloud = clouds[cloud_of[v]]
             seen = np.zeros(cloud.size, np.uint8)
             mark_tiles(
-                *cpu.arrange(camera, matrix, [(whole[cloud_of[v]], 0)]),
+                *cpu.arrange(camera, matrix, [(whole[cloud_of[v]], 0)]).unboxed,
                 *(-(-camera.width // TILE), camera.width, camera.height),
                 *(np.float32(threshold), seen),
             )

@@ -93,7 +93,7 @@ def settle(batch: RendererBatch, replays: list[Replay], *draws: Callable[[int], 
     for turn in range(5):
         for draw in draws:
             draw(turn)
-    batch._forget_calls()
+    batch._held.forget_calls()
     replays.clear()
 
 

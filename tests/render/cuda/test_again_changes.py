@@ -395,7 +395,7 @@ def test_many_threads_draw_and_copy() -> None:
     try:
         for turn in range(12):
             if turn % 4 == 3:
-                batch._forget_calls()  # so that more is recorded
+                batch._held.forget_calls()  # so that more is recorded
             with lock_of(device):
                 got = bytes_of(batch.draw(CAMERA, poses(turn), "a"))
             assert got == fresh(poses(turn), cloud_of("a"))

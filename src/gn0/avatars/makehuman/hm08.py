@@ -23,7 +23,7 @@ from gn0.avatars.makehuman.mesh_obj import QuadMesh, load_obj
 from gn0.avatars.skeleton import INDEX, JOINT_COUNT, JOINTS, MIXAMO
 from gn0.errors import FormatError
 from gn0.geometry import F64
-from gn0.storage import read_bytes
+from gn0.storage import plain_path, read_bytes
 
 VERTEX_COUNT = 19_158
 METRES = 0.1  # of a decimetre
@@ -77,7 +77,7 @@ def load_base(folder: Path | str) -> BaseMesh:
         StorageError: a file cannot be read.
         FormatError: a file is not what hm08 is.
     """
-    root = Path(folder)
+    root = plain_path(folder)
     raw = load_obj(root / "3dobjs" / "base.obj")
     if len(raw.vertices) != VERTEX_COUNT:
         raise FormatError(

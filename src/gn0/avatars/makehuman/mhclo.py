@@ -17,7 +17,7 @@ from gn0.avatars.makehuman.hm08 import METRES, VERTEX_COUNT
 from gn0.avatars.makehuman.mesh_obj import load_obj
 from gn0.errors import FormatError
 from gn0.geometry import F64
-from gn0.storage import read_bytes, safe_join
+from gn0.storage import plain_path, read_bytes, safe_join
 
 _BYTES_MOST = 64 * 2**20
 _AXES = ("x_scale", "y_scale", "z_scale")
@@ -88,7 +88,7 @@ def load_mhclo(path: Path | str) -> Cloth:
         FormatError: it is for another base mesh, names vertices that there are not, or its rows
             and the mesh do not fit each other.
     """
-    file = Path(path)
+    file = plain_path(path)
     heads: dict[str, list[str]] = {}
     rows: list[list[float]] = []
     covers = np.zeros(VERTEX_COUNT, np.bool_)  # ranges may overlap, and be many

@@ -21,7 +21,7 @@ from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
 from gn0.avatars.skeleton import JOINT_COUNT
 from gn0.errors import FormatError
 from gn0.geometry import F64
-from gn0.storage import read_bytes, storage_error, write_bytes
+from gn0.storage import plain_path, read_bytes, storage_error, write_bytes
 
 FRAME_LIMIT = 1 << 16  # bytes of one frame; real ones have six thousand
 _MOST = 20_000  # frames
@@ -185,7 +185,7 @@ def load_lhm(
         StorageError: the folder cannot be read, or a frame is too large.
         FormatError: no frames, too many, or one that is damaged.
     """
-    folder = Path(path)
+    folder = plain_path(path)
     if (folder / FOLDER).is_dir():
         folder = folder / FOLDER
     try:

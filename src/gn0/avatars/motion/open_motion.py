@@ -30,7 +30,7 @@ from gn0.avatars.motion.standing_joints import STANDING_JOINTS
 from gn0.avatars.npz_arrays import MAGIC as NPY
 from gn0.avatars.npz_arrays import ArrayFile
 from gn0.errors import FormatError
-from gn0.storage import read_bytes
+from gn0.storage import plain_path, read_bytes
 
 KNOWN = (
     "BVH, binary FBX, glTF with a skin, motion.npz, AMASS or SMPL-X .npz, poses (T, 165) as .npy, "
@@ -52,7 +52,7 @@ def load_motion(
         StorageError: missing, unreadable or too large.
         FormatError: of no kind that is known, damaged, or no motion; says what to do.
     """
-    path = Path(path)
+    path = plain_path(path)
     body = STANDING_JOINTS if joints is None else np.asarray(joints, np.float64)
     if path.is_dir():
         return tell_lift(load_lhm(path, joints), body)

@@ -15,7 +15,7 @@ import msgspec
 
 from gn0.config import decode_json
 from gn0.errors import FormatError, Gn0Error
-from gn0.storage import read_bytes, write_bytes
+from gn0.storage import plain_path, read_bytes, write_bytes
 
 EXCHANGE_LIMIT = 2**20  # bytes of one exchange
 FILE_LIMIT = 2**30  # bytes of a packed file
@@ -56,7 +56,7 @@ class ExchangeFolder:
     """
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)
+        self.folder = plain_path(folder)
 
     def _path(self, key: str) -> Path:
         return self.folder / key[:2] / f"{key}.json"
@@ -89,7 +89,7 @@ def load_exchanges(path: Path | str) -> dict[str, Exchange]:
         StorageError: nothing there, unreadable, or too large.
         FormatError: an exchange is damaged; names the file or line.
     """
-    path = Path(path)
+    path = plain_path(path)
     if path.is_dir():
         files = sorted(path.glob("??/*.json"))
         found = [_decode(read_bytes(f, EXCHANGE_LIMIT), f, f.stem) for f in files]

@@ -31,7 +31,7 @@ from gn0.missions.episode import (
 from gn0.missions.paths import densify_path
 from gn0.paper import SPACING
 from gn0.plugins import get_plugin, plugin_names
-from gn0.storage import check_contained
+from gn0.storage import check_contained, plain_path
 
 Point = tuple[float, float]
 
@@ -195,7 +195,7 @@ def load_set(path: Path | str, format: str = "") -> EpisodeSet:
         StorageError, FormatError: missing, damaged, or of no known format.
         ConfigError: no such exporter.
     """
-    path = Path(path)
+    path = plain_path(path)
     check_contained(path)
     if format:
         return get_exporter(format).load(path)

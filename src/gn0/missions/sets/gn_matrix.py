@@ -29,7 +29,7 @@ from gn0.missions.episode_files import (
     read_table,
 )
 from gn0.missions.sets.episode_set import EpisodeSet, Task
-from gn0.storage import write_bytes
+from gn0.storage import plain_path, write_bytes
 
 
 def nav_placements(grid: OccupancyGrid) -> tuple[Placement, ...]:
@@ -91,7 +91,7 @@ class ExporterGnMatrix:
                 unequal length; names the row and the column.
             EpisodeError: two rows share scene and trajectory.
         """
-        path = Path(path)
+        path = plain_path(path)
         table = read_table(path)
         rows = {name: read_column(table, name, kind, path) for name, kind in GN_MATRIX_COLUMNS}
         check_path_lists(rows, path)

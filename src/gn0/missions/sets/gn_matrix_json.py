@@ -21,7 +21,7 @@ from gn0.missions.episode_files import check_unique
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.gn_matrix import build_row, nav_placements, nav_task
 from gn0.missions.sets.json_file import load_exact, save_exact
-from gn0.storage import check_replaceable, folder_atomic, safe_join, storage_error
+from gn0.storage import check_replaceable, folder_atomic, plain_path, safe_join, storage_error
 
 FILE_LIMIT = 64 << 20  # bytes of one trajectory
 GROUPS = ("easy", "medium", "hard")
@@ -110,7 +110,7 @@ class ExporterGnMatrixJson:
             FormatError: a trajectory is damaged or lacks a field (names file and field), or there
                 is none.
         """
-        path = Path(path)
+        path = plain_path(path)
         try:
             found = {
                 (folder.name, file.name): file

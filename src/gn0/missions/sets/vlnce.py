@@ -32,6 +32,7 @@ from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import GZIP_MAGIC, load_exact, save_exact
 from gn0.missions.sets.vocabulary import PAD_INDEX, UNKNOWN_INDEX, cut_words, own_words
 from gn0.paper import FORWARD, STOP
+from gn0.storage import plain_path
 
 TOKENS = 200  # an instruction is padded with zeros to this length
 GOAL_RADIUS = 3.0  # m
@@ -109,7 +110,7 @@ class ExporterVlnce:
             StorageError: missing or unreadable.
             FormatError: damaged, or an episode lacks a field; names file, episode and field.
         """
-        path = Path(path)
+        path = plain_path(path)
         document = load_exact(path)
         if not isinstance(document, dict) or not isinstance(document.get("episodes"), list):
             raise FormatError(
@@ -154,7 +155,7 @@ class ExporterVlnce:
         native = episodes.native
         if not isinstance(native, VlnceFile):
             raise FormatError(f"a set of format {episodes.format!r} is not a VLN-CE file")
-        path = Path(path)
+        path = plain_path(path)
         if not path.name.endswith((".json", ".json.gz")):
             raise FormatError(
                 "the name must end in .json or .json.gz",

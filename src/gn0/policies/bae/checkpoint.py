@@ -16,7 +16,7 @@ from gn0.policies.bae.tokens import PAD_ROWS, TokenIds
 from gn0.policies.qwen.architecture import load_architecture
 from gn0.policies.qwen.model import check_shapes
 from gn0.policies.qwen.weights import INDEX, MANIFEST, SINGLE, open_weights
-from gn0.storage import folder_atomic, write_json
+from gn0.storage import folder_atomic, plain_path, write_json
 
 SHARD_MB = 2000
 
@@ -49,7 +49,7 @@ def load_checkpoint(
     Raises:
         CheckpointError: no such model or tokenizer, not all of it, or no navigation tokens.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     architecture = load_architecture(folder)
     check_shapes(architecture, open_weights(folder))
     logging.disable_progress_bar()  # seconds at most, and lines that nobody asked for

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gn0.errors import CheckpointError
 from gn0.policies.bae.policy_settings import FILE
+from gn0.storage import plain_path
 from gn0.suites.run_files import RUN
 
 SHIPPED = "bae-tiny"
@@ -28,7 +29,7 @@ def find_checkpoint(named: str = "", *, package: Path = _PACKAGE) -> Path:
     Raises:
         CheckpointError: there is no such folder, or this installation came without weights.
     """
-    folder = Path(named).expanduser()
+    folder = plain_path(named).expanduser()
     if named and (named != "bae" or folder.is_dir()):
         if not folder.is_dir():
             raise CheckpointError(

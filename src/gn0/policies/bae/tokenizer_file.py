@@ -9,7 +9,7 @@ from typing import Any
 from gn0.data.navigation_vocabulary import TextTokenizer
 from gn0.errors import FormatError, StorageError
 from gn0.policies.qwen.byte_pairs import read_byte_pairs
-from gn0.storage import read_bytes
+from gn0.storage import plain_path, read_bytes
 
 LIMIT = 256 * 2**20  # bytes of a tokenizer.json
 
@@ -57,7 +57,7 @@ def load_tokenizer(path: Path | str) -> TextTokenizer:
         FormatError: it is no tokenizer; or of another kind than Qwen's, and the `tokenizers`
             package is not installed.
     """
-    file = Path(path)
+    file = plain_path(path)
     file = file / "tokenizer.json" if file.is_dir() else file
     if file.exists() and not file.is_file():  # a pipe would never end
         raise StorageError("not a file", where=file, remedy="give the path of a tokenizer.json")

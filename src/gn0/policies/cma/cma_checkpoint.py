@@ -16,7 +16,7 @@ from gn0.policies.cma.cma_settings import FILE, CmaSettings, load_cma_settings
 from gn0.policies.cma.efficientnet_lite import EfficientNetLite0, fill_efficientnet
 from gn0.policies.cma.recurrent import RecurrentNet
 from gn0.policies.qwen.weights import MANIFEST, SINGLE, open_weights
-from gn0.storage import folder_atomic, read_bytes, write_bytes, write_json
+from gn0.storage import folder_atomic, plain_path, read_bytes, write_bytes, write_json
 
 TOKENIZER = "tokenizer.json"
 
@@ -89,7 +89,7 @@ def load_cma_checkpoint(folder: Path | str, *, dtype: torch.dtype = torch.float3
         CheckpointError: a file is missing, altered or none; or the weights are those of another
             net than `cma.json` describes.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     settings = load_cma_settings(folder)
     try:
         tokenizer = read_bytes(folder / TOKENIZER, LIMIT)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import CheckpointError, brief
-from gn0.storage import content_hash, read_bytes, storage_error
+from gn0.storage import content_hash, plain_path, read_bytes, storage_error
 
 LARGEST_HEADER = 100 << 20  # bytes, as in the library
 INDEX, SINGLE, MANIFEST = "model.safetensors.index.json", "model.safetensors", "shards.json"
@@ -126,7 +126,7 @@ def hash_shards(folder: Path | str) -> str:
         CheckpointError: the folder holds none.
         StorageError: the system refuses.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     if (folder / MANIFEST).is_file():
         return content_hash(read_bytes(folder / MANIFEST))
     found = []

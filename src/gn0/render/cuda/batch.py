@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -18,21 +17,17 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.cuda.calls import Call, Record, RecordedCalls, name_call
+from gn0.render.cuda.calls import Call, Record, name_call
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.depth import scale_on_device
 from gn0.render.cuda.draw import Drawer
-from gn0.render.cuda.floors import Arranged, arrange_floors
+from gn0.render.cuda.held import HeldScenes
 from gn0.render.cuda.instances import Instances
-from gn0.render.cuda.named import NamedClouds
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.cuda.parts import (
-    Part,
     bring_tails,
     choose_parts,
-    clear_sets,
     find_parts,
-    list_sets,
     views_of,
 )
 from gn0.render.cuda.posed import ReadyPoses, RestCloud, RestDevice, bring_rest
@@ -44,7 +39,7 @@ from gn0.render.cuda.request import (
     name_all,
     number_keys,
 )
-from gn0.render.cuda.store import CloudStore, Load
+from gn0.render.cuda.store import Load
 from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
 from gn0.render.cuda.who import WhoDevice, count_all, draw_alone, empty_who
 from gn0.render.instance import Parts, PartsDevice, check_parts
@@ -61,9 +56,7 @@ from gn0.render.renderer import (
 from gn0.render.visible_places import VisibleOptions
 from gn0.render.who import WhoPictures
 
-_SETS_SHARE = 0.1  # of the memory that is free at the start, for visible sets
 _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
-T = TypeVar("T")
 
 
 class RendererBatch:
@@ -98,16 +91,19 @@ class RendererBatch:
             device_views=True,
             labels=True,
         )
-        self.store = CloudStore(device, memory)
+        self._held = HeldScenes(device, self.options, memory, sets_memory)
+        self.store, self._sets, self._named = self._held.store, self._held.sets, self._held.named
         self.drawer = share_drawer(device)
-        share = int(_SETS_SHARE * device.memory()[0])
-        self.sets_memory = share if sets_memory is None else sets_memory
-        self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
-        self.store.on_drop = self._let_go
-        self._named = NamedClouds(device)
-        self._arranged: Arranged | None = None
-        self._calls = RecordedCalls(self.options)
         self._skip = self._wait = 0  # calls until views on the device are tried with sets again
+
+    @property
+    def sets_memory(self) -> int:
+        """Bytes that the visible sets of all scenes together may take."""
+        return self._held.sets_memory
+
+    @sets_memory.setter
+    def sets_memory(self, limit: int) -> None:
+        self._held.sets_memory = limit
 
     def __contains__(self, key: str) -> bool:
         return key in self.store
@@ -136,8 +132,7 @@ class RendererBatch:
                 another hash drops the old splats and sets. Without hashes, another `load` does.
         """
         if self.store.add(key, load, digest):
-            self._sets.pop(key, None)
-            self._forget_calls()
+            self._held.drop_sets(key)
 
     def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> CloudDevice:
         """Bring a scene here now, to stay until it is removed; see `Renderer.keep`.
@@ -146,8 +141,7 @@ class RendererBatch:
             RenderError: the cloud holds values that are not finite.
             DeviceMemoryError: it is larger than the memory for clouds.
         """
-        self._sets.pop(key, None)
-        self._forget_calls()
+        self._held.drop_sets(key)
         return self.store.keep(key, cloud, digest)
 
     def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
@@ -161,7 +155,7 @@ class RendererBatch:
             DeviceMemoryError: the device has no room for it.
         """
         with lock_of(self.device):
-            self._named.hold(name, cloud, lambda bring: self._with_room(bring, (), []))
+            self._named.hold(name, cloud, self._held.with_room)
 
     def slot_of(self, name: str) -> int:
         """The slot of a named cloud in the table that `PartsDevice` without names refers to.
@@ -179,7 +173,7 @@ class RendererBatch:
             DeviceMemoryError: the device has no room for it.
         """
         with lock_of(self.device):
-            return self._with_room(lambda: bring_rest(self.device, cloud), (), [])
+            return self._held.with_room(lambda: bring_rest(self.device, cloud))
 
     def pose_parts(
         self, rests: Sequence[RestDevice], which: NDArray[np.integer], ready: ReadyPoses
@@ -195,7 +189,7 @@ class RendererBatch:
             DeviceMemoryError: the device has no room for them.
         """
         with lock_of(self.device):
-            return self._with_room(lambda: self._named.pose(rests, which, ready), (), [])
+            return self._held.with_room(lambda: self._named.pose(rests, which, ready))
 
     def drop_parts(self, slots: Sequence[int]) -> None:
         """Free slots that `pose_parts` gave."""
@@ -209,8 +203,7 @@ class RendererBatch:
     def remove(self, key: str) -> None:
         """Forget a scene."""
         self.store.remove(key)
-        self._sets.pop(key, None)
-        self._forget_calls()
+        self._held.drop_sets(key)
 
     def limit_to_visible(
         self,
@@ -246,7 +239,7 @@ class RendererBatch:
             cache=cache,
         )
         self._sets[key] = sets
-        self._forget_calls()
+        self._held.forget_calls()
         return sets
 
     def open_sets(self, key: str) -> SceneSets:
@@ -366,9 +359,9 @@ class RendererBatch:
             if tails is None and chosen is None and not isinstance(views, DeviceArray):
                 views = np.asarray(views)
                 asked = name_call(camera, views, keys, outputs, background, visible, moving)
-                there = (
-                    None if asked is None else self._calls.draw(asked, self.drawer, views, moving)
-                )
+                there = None
+                if asked is not None:
+                    there = self._held.calls.draw(asked, self.drawer, views, moving)
                 if there is not None:
                     self.store.touch([keys] if isinstance(keys, str) else dict.fromkeys(keys))
                     return there
@@ -457,7 +450,7 @@ class RendererBatch:
             def draw_one(rows: NDArray[np.int64], one_each: Instances) -> DeviceArray:
                 look, options = matrices[rows], self.options
                 attempt = partial(draw_alone, self.drawer, camera, look, one_each)
-                return self._with_room(partial(attempt, options.antialiased), (), [])
+                return self._held.with_room(partial(attempt, options.antialiased))
 
             count_all(self.device, who, moving, count, draw_one)
             return who
@@ -522,11 +515,11 @@ class RendererBatch:
             clouds = [None if key is None else found[key] for key in keys]
             floors = None
             if visible:
-                self._arranged = self._arrange(keys, clouds, visible)
-                clouds, floors = self._arranged.clouds, self._arranged.floors
+                arranged = self._held.arrange(keys, clouds, visible)
+                clouds, floors = arranged.clouds, arranged.floors
                 if isinstance(views, np.ndarray):
                     assert not isinstance(chosen, DeviceArray)
-                    if not self._arranged.holds_all(views, chosen):
+                    if not arranged.holds_all(views, chosen):
                         return None
             pictures = self.drawer.pictures(camera, len(views), outputs, self.options.rgb_float)
             self.drawer.draw(
@@ -556,38 +549,22 @@ class RendererBatch:
             return pictures
 
         try:
-            there = self._with_room(draw, wanted, [], wanted)
+            there = self._held.with_room(draw, wanted, pinned=wanted)
         except DeviceMemoryError:
             return None
         except SetMissingError:  # rarer with each one; where they never all fit, try seldom
             self._skip, self._wait = self._wait, min(2 * self._wait + 1, 15)
             return None
         self._wait = self._wait if known else 0
-        self._trim_sets(wanted if visible else ())
-        if there is not None and asked is not None and not (visible and self._arranged is None):
-            sets = self._arranged.sets if visible and self._arranged is not None else ()
-            self._calls.note(asked, self.drawer, record, sets)
+        self._held.trim_sets(wanted if visible else ())
+        arranged = self._held.arranged
+        if there is not None and asked is not None and not (visible and arranged is None):
+            sets = arranged.sets if visible and arranged is not None else ()
+            self._held.calls.note(asked, self.drawer, record, sets)
         return there
-
-    def _forget_calls(self) -> None:
-        """Something that calls were prepared with has changed, or its memory is wanted."""
-        self._arranged = None
-        self._calls.forget()
 
     def _place(self, array: NDArray[Any] | DeviceArray) -> DeviceArray:
         return self.device.upload(array) if isinstance(array, np.ndarray) else array
-
-    def _arrange(
-        self,
-        keys: list[str | None],
-        clouds: Sequence[CloudDevice | None],
-        visible: bool | VisibleSets,
-    ) -> Arranged:
-        """The clouds of `keys` with the visible sets that are here; kept while those are."""
-        mine = [None if key is None else self._sets.get(key) for key in keys]
-        if isinstance(visible, VisibleSets):
-            mine = [None if key is None else visible for key in keys]
-        return arrange_floors(self.device, keys, clouds, mine, self._arranged)
 
     def _render(
         self,
@@ -612,10 +589,10 @@ class RendererBatch:
                 raise RenderError(f"{len(given)} {what} for {count} views", where=what)
         parts = find_parts(camera, matrices, names, visible, self._sets)
         mine = views_of(names)
-        moving, tail_of = self._with_room(
+        moving, tail_of = self._held.with_room(
             lambda: bring_tails(self.device, tails, count), mine, parts
         )
-        pictures = self._with_room(
+        pictures = self._held.with_room(
             lambda: self.drawer.pictures(camera, count, outputs, self.options.rgb_float),
             *(mine, parts),
         )
@@ -639,52 +616,9 @@ class RendererBatch:
             )
 
         for group in self.store.groups(names):
-            self._with_room(partial(draw, group), mine, parts, group)
-        self._trim_sets(mine if visible else ())
+            self._held.with_room(partial(draw, group), mine, parts, group)
+        self._held.trim_sets(mine if visible else ())
         return pictures
-
-    def _trim_sets(self, used: Collection[str]) -> None:
-        """Keep the sets of all scenes within their memory; those just `used` go last."""
-        for key in used:
-            if key in self._sets:
-                self._sets.move_to_end(key)
-        total = sum(sets.used for sets in self._sets.values())
-        for sets in self._sets.values():
-            if total <= self.sets_memory:
-                break
-            total -= sets.used
-            sets.clear()
-            self._forget_calls()
-
-    def _with_room(
-        self,
-        attempt: Callable[[], T],
-        wanted: Collection[str],
-        parts: list[Part | None],
-        pinned: Collection[str] = (),
-    ) -> T:
-        """What `attempt` gives. Where memory is short, scenes give way, then sets.
-
-        Those that this call has `wanted` go after all others, and those `pinned` never.
-        """
-        cleared = False
-        while True:
-            try:
-                return attempt()
-            except DeviceMemoryError:
-                self._forget_calls()  # they hold sets and clouds
-                self._named.let_go()
-                if self.store.give_way(wanted) or self.store.give_way(pinned):
-                    continue
-                if cleared or not clear_sets([*self._sets.values(), *list_sets(parts)]):
-                    raise
-                cleared = True  # once: the next attempt brings back those that it needs
-
-    def _let_go(self, key: str) -> None:
-        """A cloud is about to give way: its sets must not keep its memory."""
-        self._forget_calls()
-        if key in self._sets:
-            self._sets[key].let_go()
 
 
 def share_drawer(device: Device) -> Drawer:

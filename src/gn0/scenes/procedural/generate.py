@@ -18,7 +18,7 @@ from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.palette import Palette
 from gn0.scenes.procedural.refine_views import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo, name_categories
-from gn0.storage import check_replaceable
+from gn0.storage import check_replaceable, plain_path
 
 
 class GenerateSettings(Config, frozen=True):
@@ -132,7 +132,7 @@ def generate_scene(
         ConfigError: a setting is out of range.
         SceneError: no walkable building was found, or the folder's name cannot be a scene's id.
     """
-    out = Path(out)
+    out = plain_path(out)
     # said now, not after half a minute of work
     check_replaceable(out, overwrite=overwrite, marker="scene.json")
     scene = build_generated(settings, out.resolve().name, progress)

@@ -19,7 +19,15 @@ from gn0.errors import TrainingError
 from gn0.locked_folder import check_room, forget_folder, holds_leftovers_only, lock_folder
 from gn0.missions.controls import Control
 from gn0.policies.bae.waypoint_plan import Carried
-from gn0.storage import Journal, check_contained, read_bytes, safe_join, write_bytes, write_json
+from gn0.storage import (
+    Journal,
+    check_contained,
+    plain_path,
+    read_bytes,
+    safe_join,
+    write_bytes,
+    write_json,
+)
 from gn0.training.exams.walks import Walk
 
 WALKS, ABOUT, JOURNAL = "walks.jsonl", "walks.json", "walks.journal"
@@ -135,7 +143,7 @@ def open_walks(
         TrainingError: somebody else writes there, or it holds other walks, or something else.
         StorageError, FormatError: the system refuses, or a file is damaged.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     check_room(folder, _ROOM)
     if fresh:
         forget_folder(folder, ABOUT)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.storage import plain_path
 from gn0.training.runs.metrics_file import read_metrics
 from gn0.training.runs.run_folder import METRICS, RunRecord, read_run
 from gn0.training.runs.stage_chain import list_stages, shorten
@@ -65,7 +66,7 @@ def build_card(
         TrainingError: the folder holds no run.
         StorageError, FormatError: its files cannot be read.
     """
-    home = Path(folder)
+    home = plain_path(folder)
     record = read_run(home)
     lines = read_metrics(home / METRICS)
     last = lines[-1] if lines else {}

@@ -19,7 +19,7 @@ import msgspec
 from gn0.config import Config, load_json
 from gn0.errors import TrainingError
 from gn0.locked_folder import LOCK, check_room, holds_leftovers_only, lock_folder, sweep_folder
-from gn0.storage import storage_error, write_json, write_text
+from gn0.storage import plain_path, storage_error, write_json, write_text
 from gn0.training.runs.event_log import open_event_log
 from gn0.training.runs.metrics_file import MetricsFile, read_metrics
 from gn0.training.runs.recipe_text import list_recipe_differences
@@ -232,7 +232,7 @@ def open_run(
             state of `from_step`.
         StorageError: the system refuses.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     check_room(folder, _ROOM)
     with lock_folder(folder, refuse=TrainingError, writer="training run"):
         sweep_folder(folder)
@@ -313,7 +313,7 @@ def write_run_page(folder: Path | str) -> Path:
         TrainingError: the folder holds no run.
         StorageError, FormatError: a file cannot be read or written.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     record = msgspec.to_builtins(read_run(folder))
     page = folder / PAGE
     write_text(page, draw_run_page(folder.resolve().name, record, read_metrics(folder / METRICS)))

@@ -26,7 +26,7 @@ from gn0.policies.bae.checkpoint import Checkpoint, load_checkpoint, save_checkp
 from gn0.policies.bae.shard_file import count_bytes, write_shards
 from gn0.policies.qwen.weights import MANIFEST
 from gn0.seeds import load_stream, save_stream
-from gn0.storage import folder_atomic, storage_error
+from gn0.storage import folder_atomic, plain_path, storage_error
 from gn0.training.runs.optimiser_state import OptimiserState
 from gn0.training.runs.state_file import (
     FileFacts,
@@ -131,7 +131,7 @@ def save_state(
         StorageError: the disk is full or refuses, or states of later steps are there.
         CheckpointError: the source is nothing that JSON holds.
     """
-    folder, step = Path(folder), state.counters.step
+    folder, step = plain_path(folder), state.counters.step
     if keep < 1:
         raise CheckpointError("no state would be kept", remedy="keep 1 or more")
     ahead = [path.name for path in list_states(folder) if read_step(path) > step]
@@ -201,7 +201,7 @@ def load_state(
             half-written, altered or of another kind.
         StorageError: the system refuses.
     """
-    folder = Path(folder)
+    folder = plain_path(folder)
     if not (folder / STATE).is_file():
         latest = find_latest(folder)
         if latest is None:

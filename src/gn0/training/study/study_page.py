@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from gn0.counted import counted
 from gn0.errors import ConfigError
 from gn0.storage import read_bytes, write_text
 from gn0.training.exams.walks import MEANS
@@ -294,12 +295,12 @@ def _tell_basis(estimate: Estimate | None) -> str:
     """Of how much an estimate is, and what it therefore speaks of."""
     if estimate is None:
         return ""
-    seeds = f"{estimate.seeds} seed{'s' if estimate.seeds > 1 else ''}"
+    seeds = counted(estimate.seeds, "seed")
     if not estimate.episodes:
         return seeds
     own = "" if estimate.unit == "scene" else ", these very scenes"
-    scenes = f"{estimate.scenes} scene{'s' if estimate.scenes > 1 else ''}"
-    return f"{seeds}, {scenes}, {estimate.episodes} episodes{own}"
+    scenes, episodes = counted(estimate.scenes, "scene"), counted(estimate.episodes, "episode")
+    return f"{seeds}, {scenes}, {episodes}{own}"
 
 
 def _draw_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -49,9 +49,9 @@ def plan_trials(cards: int, batch: int) -> Iterator[Trial]:
     yield Trial(1, batch, "")
     counts = [count for count in CARDS if count <= cards]
     for some in (counts[:2], counts[2:]):
-        for count in some:
+        for count in reversed(some):
             yield Trial(count, count * batch, f"{batch} a card")
-        for count in some:
+        for count in reversed(some):
             yield Trial(count, batch, f"{batch} in all")
 
 

@@ -65,6 +65,26 @@ def test_people_are_those_of_the_cpu(device, crowded) -> None:
 
 
 @pytest.mark.small
+def test_who_goes_round_far_from_its_way_is_that_of_the_cpu(device) -> None:
+    """People who go round each other for four seconds, a metre and more beside their ways."""
+    plans = (3, 24), (3, 25), (6, 9), (6, 21)  # of places and of people
+    scenes = [
+        build_map_scene(build_floor_plan(k, width=12.0, depth=12.0), f"plan-{k}") for k in (3, 6)
+    ]
+    episodes = []
+    for scene in scenes:
+        ground = NavigationMap(scene.grid, BODY.radius)
+        for number, k in (one for one in plans if f"plan-{one[0]}" == scene.id):
+            bare = build_point_episodes(scene, ground, 32, agent=BODY)[k]
+            people = plan_people(scene, bare, PeopleSettings(count=8, seed=k))
+            episodes.append(msgspec.structs.replace(bare, id=f"{number}-{k}", people=people))
+    settings = {"episodes": episodes, "agent": BODY, "sensors": ("pose",), "max_steps": 500}
+    count = 2048 if device.kind == "cuda" else 192
+    there = VectorEnvDevice(count, scenes, device=device, **settings)
+    assert_same(there, VectorEnv(count, scenes, **settings), device, 80, ("people",))
+
+
+@pytest.mark.small
 def test_following_is_that_of_the_cpu(device) -> None:
     """The built-in flat, one person ahead on every way."""
     flat = build_example_scene()

@@ -260,7 +260,7 @@ def go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius
         way, aside, piece = nearest_way(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
         who = AGENT
         if not shut and whole[e, p, ROUND_TICKS] < ROUND_MOST * pace.rate:
-            near = find_near(real, route, agent, radius, e, p, 1.0)
+            near = find_near(real, route, agent, radius, e, p, aside + 0.7)  # all who may be there
             _, who = room_ahead(
                 real, route, routes, agent, radius, e, p, way, piece, sign, 0.6, near
             )

@@ -181,7 +181,7 @@ __device__ __noinline__ void go_round(Person &q, const Route &r, const Episode &
     if (!gives_up) break;
     if (!shut && q.round_ticks < ROUND_MOST * pace.rate) {
       int ahead;
-      a.near = find_near(a, x, y, 1.0);
+      a.near = find_near(a, x, y, aside + 0.7);  // all who may be there
       room_ahead(a, r, way, piece, q.direction, 0.6, ahead);
       if (ahead == NOBODY) break;  // they who were in the way are gone
     }

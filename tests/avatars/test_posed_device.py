@@ -269,8 +269,16 @@ def test_who_is_expected_is_there_when_asked_for(batch: RendererBatch) -> None:
     assert bank.pose_expected(poses) == 0 and (bank.ahead, bank.misses) == (1, 2)
     assert bank.find(send(3, 2), chosen, poses) == 0 and len(bank) == 3
     bank.expect(send(2, 4))
-    assert bank.pose_expected(poses) == 1 and 1 not in bank, "it was not asked for again"
+    assert bank.pose_expected(poses) == 1 and len(bank) == 3 and 2 in bank
     assert bank.find(send(2, 4), chosen, poses) == 0 and chosen.numpy().min() >= 0
+    bank.ask(send(5, 4), chosen)
+    bank.expect(send(5, 6))
+    assert bank.answer(poses) == 1 and bank.bytes > bank.budget, "nobody who waits makes room"
+    assert bank.pose_expected(poses) == 1 and bank.bytes == bank.budget and 5 in bank and 6 in bank
+    bank.ask(send(5, 7), chosen)
+    bank.expect(send(5, 0))
+    assert bank.answer(poses) == 1 and bank.bytes > bank.budget
+    assert bank.pose_expected(poses) == 0 and bank.bytes == bank.budget and 5 in bank
     small = PosedBankDevice(batch, budget=2 * one.bytes)
     small.find(send(1, 2), chosen, poses)
     small.expect(send(1, 2))

@@ -155,7 +155,8 @@ class PosedBankDevice:
         renderer: in whose table they are.
         budget: bytes of all of them together, boxes included; what people are at rest is not
             counted (`rest_bytes`), nor what is free between them. A call whose own people need
-            more gets it, with a warning the first time.
+            more gets it, with a warning the first time; who lacks after `expect` may be above it
+            until `pose_expected`.
         postures: bytes of the host for postures at most, taken as they are needed.
 
     Attributes:
@@ -290,12 +291,13 @@ class PosedBankDevice:
     def ask(self, codes: DeviceArray, chosen: DeviceArray) -> None:
         """Begin what `find` does; `answer` does the rest, and needs to wait the less the later."""
         self._call += 1
+        self._expected = None  # that was of this call
         if self._finder.sends:  # what was used by the call before: not who is by this one
             self._take_uses()
-        self._asking = codes, chosen, self._look(codes, chosen)
+        self._asking = codes, chosen, self._look(codes, chosen, self._call)
 
     def answer(self, poses: CodedPoses) -> int:
-        """End what `ask` began; see `find`.
+        """End what `ask` began; see `find`. After `expect` nobody makes room for those that lack.
 
         Raises:
             RenderError, DeviceMemoryError: see `fetch`.
@@ -307,25 +309,26 @@ class PosedBankDevice:
         self.misses += len(lacking)
         self.hits += len(codes) - len(lacking)
         if len(lacking):
-            self._fill(lacking, poses)
-            self._look(codes, chosen)
+            self._fill(lacking, poses, hurried=self._expected is not None)
+            self._look(codes, chosen, self._call)
         return len(lacking)
 
     def expect(self, codes: DeviceArray) -> None:
         """Say by whom the next `find` may ask; `pose_expected` makes those that lack.
 
         Args:
-            codes: as of `find`; what is here of them stays until then.
+            codes: as of `find`.
         """
         if self._unread is None or len(self._unread) != len(codes):
             self._unread = self.renderer.device.empty(len(codes), np.int32)
-        self._expected = self._look(codes, self._unread, lane=1)
+        self._expected = self._look(codes, self._unread, self._call + 1, lane=1)
         self._finder.send_uses()
 
     def pose_expected(self, poses: CodedPoses) -> int:
         """Make clouds that `expect` named and that are not here; how many.
 
-        To be called when the device has something else to do: all of it is done meanwhile.
+        To be called when all that shows clouds of the last `find` was handed to the device: they
+        may make room for these. What it has to do meanwhile hides all of this.
 
         Raises:
             RenderError, DeviceMemoryError: see `fetch`.
@@ -333,18 +336,29 @@ class PosedBankDevice:
         if self._expected is None:
             return 0
         looked, self._expected = self._expected.numpy(), None
-        lacking = looked[self._held.find(looked) < 0]
+        slots = self._held.find(looked)
+        lacking = looked[slots < 0]
         self.ahead += len(lacking)
-        self._fill(lacking, poses)
+        self._call += 1
+        self._used[slots[slots >= 0]] = self._call  # posed since it looked
+        try:
+            if len(lacking):
+                self._fill(lacking, poses)
+            else:
+                self._make_room(0)
+        finally:
+            self._call -= 1
         return len(lacking)
 
-    def _look(self, codes: DeviceArray, chosen: DeviceArray, lane: int = 0) -> LackingCodes:
+    def _look(
+        self, codes: DeviceArray, chosen: DeviceArray, stamp: int, lane: int = 0
+    ) -> LackingCodes:
         if self._stale:
             self._take_uses()
             slots = np.flatnonzero(self._codes)
             self._finder.set(self._codes[slots], slots.astype(np.int32), max(len(self._used), 1))
             self._stale = False
-        return self._finder.find(codes, chosen, self._call, lane=lane)
+        return self._finder.find(codes, chosen, stamp, lane=lane)
 
     def _take_uses(self) -> None:
         """Learn from the device what was used when, and how often since this was learnt last."""
@@ -363,8 +377,11 @@ class PosedBankDevice:
         self._asked *= 0.5 ** ((self._call - self._faded) / _FADES)
         self._faded = self._call
 
-    def _fill(self, codes: U64, poses: CodedPoses) -> None:
-        """Make the clouds of codes that are not held, each once, by one launch."""
+    def _fill(self, codes: U64, poses: CodedPoses, *, hurried: bool = False) -> None:
+        """Make the clouds of codes that are not held, each once, by one launch.
+
+        Where somebody waits, in a hurry, nobody makes room and no posture is kept.
+        """
         if not len(codes):
             return
         postures = poses.postures(codes)
@@ -378,8 +395,9 @@ class PosedBankDevice:
         kinds, first, which, counts = np.unique(
             frames["kind"], return_index=True, return_inverse=True, return_counts=True
         )
-        sizes = np.array([kind.size for kind in self._kinds])
-        self._make_room(int(sizes[kinds] @ counts))
+        if not hurried:
+            sizes = np.array([kind.size for kind in self._kinds])
+            self._make_room(int(sizes[kinds] @ counts))
         for number, code in zip(kinds.tolist(), codes[first].tolist(), strict=True):
             kind = self._kinds[number]
             if kind.rest is None:
@@ -390,8 +408,9 @@ class PosedBankDevice:
         if len(new):
             made = poses.ready(codes[new], rests, which[new], rows, new)
             frames["box"][new], frames["step"][new] = made
-            self._postures.keep(postures[new], rows, new)
-            self._frames.keep(codes[new], frames[new])
+            if not hurried:
+                self._postures.keep(postures[new], rows, new)
+                self._frames.keep(codes[new], frames[new])
         ready = ReadyPoses(rows, frames["box"].copy(), frames["step"].copy())
         slots = np.array(self.renderer.pose_parts(rests, which, ready), np.int64)
         self.launches += 1

@@ -258,6 +258,37 @@ def test_every_measure_stands_under_its_own_head(run: Path, tmp_path: Path) -> N
     assert heads[4:] == ["SPL", "NE geo", "TL", "nDTW", "steps", "cut"] and "" not in row[4:]
 
 
+FULL = """
+(() => {
+  for (const cell of document.querySelectorAll(".split td.number:not(:nth-child(2))")) {
+    cell.innerHTML = '<span class="mean">99.0</span><span class="interval">97.5–100.0</span>';
+  }
+  const cut = [];
+  for (const box of document.querySelectorAll(".scroll, html")) {
+    if (box.scrollWidth > box.clientWidth) cut.push([box.innerText.slice(0, 40), box.scrollWidth]);
+  }
+  const ends = [...document.querySelectorAll("svg.strip")].map(
+    (strip) => strip.closest(".scroll").getBoundingClientRect().right
+      - strip.getBoundingClientRect().right);
+  return JSON.stringify({cut, ends});
+})()
+"""
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(bool(why_no_browser()), reason=why_no_browser())
+@pytest.mark.parametrize("width", [1200, 1600])
+def test_tables_and_strips_of_following_fit_their_cards(
+    run: Path, tmp_path: Path, width: int
+) -> None:
+    page = write_report(run, tmp_path / "page.html", videos=0)
+    with open_browser(width=width) as browser:
+        browser.navigate(page.as_uri())
+        browser.wait_for("document.querySelector('footer') && document.readyState === 'complete'")
+        said = json.loads(str(browser.evaluate(FULL)))
+    assert said["cut"] == [] and len(said["ends"]) == 3 and min(said["ends"]) > 0
+
+
 def test_a_run_of_following_alone_has_no_heads_of_goals(run: Path, tmp_path: Path) -> None:
     text = write_report(run, tmp_path / "page.html", videos=0).read_text()
     alone = tmp_path / "run"

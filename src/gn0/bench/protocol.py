@@ -272,8 +272,8 @@ def _goal_rows(episodes: Sequence[Episode]) -> tuple[tuple[str, str], ...]:
         (
             "goals",
             f"{several} of {counted(len(episodes), 'episode')} accept every instance that their "
-            f"words fit: distances are to the nearest; {areas} end in an area: success is a STOP inside "
-            "it, at no distance",
+            f"words fit: distances are to the nearest; {areas} end in an area: success is a STOP "
+            "inside it, at no distance",
         ),
     )
 
@@ -294,8 +294,9 @@ def _follow_rows(suite: Suite, episodes: Sequence[Episode]) -> tuple[tuple[str, 
         (
             "following",
             f"{count} of {counted(len(episodes), 'episode')}: a step follows within "
-            f"{rules.reach:g} m of the person, who fills {rules.least_share:.1%} to {rules.most_share:.0%} of the "
-            f"picture{pixels}; STOP {'ends the episode' if rules.stop_ends else 'stands still'}; "
+            f"{rules.reach:g} m of the person, who fills {rules.least_share:.1%} to "
+            f"{rules.most_share:.0%} of the picture{pixels}; STOP "
+            f"{'ends the episode' if rules.stop_ends else 'stands still'}; "
             f"the end is {rules.linger:g} s after the person's track, at a touch ({touch}), when "
             f"lost ({rules.lost_after} steps beyond {rules.lost_beyond:g} m) or after "
             f"{rules.max_steps} steps; success is to follow then (docs/following.md). Rows on "
@@ -318,8 +319,9 @@ def _people_rows(episodes: Sequence[Episode]) -> tuple[tuple[str, str], ...]:
         (
             "people",
             f"{len(among)} of {counted(len(episodes), 'episode')} have people, {most} at most: "
-            "they move while the agent acts, and are obstacles; a touch is a move cut short because of "
-            "one, by the agent; it ends nothing, and CR is the share of episodes that have one",
+            "they move while the agent acts, and are obstacles; a touch is a move cut short "
+            "because of one, by the agent; it ends nothing, and CR is the share of episodes that "
+            "have one",
         ),
     )
 

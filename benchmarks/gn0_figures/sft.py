@@ -144,7 +144,7 @@ def open_bench(ctx: FigureContext) -> Bench:
     began = time.perf_counter()
     lessons = load_lessons(make_suite(ctx.work, is_emulation(ctx.device)))
     bench = Bench(ctx, lessons)
-    made = f"{len(lessons.scene_folders)} flats, {len(lessons.episodes)} episodes"
+    made = f"{len(lessons.scene_ids)} flats, {len(lessons.episodes)} episodes"
     bench.add(FigureRow(
         name="suite made in", value=time.perf_counter() - began, unit="s", detail=made
     ))  # fmt: skip

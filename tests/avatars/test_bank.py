@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -123,3 +124,13 @@ def test_the_command_line_makes_shows_and_checks(
     assert main(["avatar", "check", out, "--name", "p0001"]) in (0, 1)
     assert "1 avatar:" in capsys.readouterr().out
     assert main(["avatar", "show", str(tmp_path / "none"), "--out", str(picture)]) == 2
+
+
+def test_a_long_name_stands_apart_from_what_is_found(monkeypatch, tmp_path, capsys) -> None:
+    """A mesh has the name of its file, `RobotExpressive`, which ran into the finding."""
+    avatar = SimpleNamespace(name="RobotExpressive")
+    monkeypatch.setattr("gn0.avatars.bank.open_avatars", lambda *_: [avatar])
+    found = [SimpleNamespace(code="stray", text="a splat lies 0.7 m off all joints")]
+    monkeypatch.setattr("gn0.viewer.avatar_check.check_avatar", lambda *_: found)
+    assert main(["avatar", "check", str(tmp_path)]) == 1
+    assert "RobotExpressive stray: a splat" in capsys.readouterr().out

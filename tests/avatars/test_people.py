@@ -231,6 +231,8 @@ def test_pages_show_everybody(woman: Avatar) -> None:
     assert half.std() > 20  # somebody is there
     assert describe_avatar(woman)[1] == "red knitted sweater"
     assert np.asarray(draw_portrait(woman)).std() > 10
+    mesh = replace(woman, record={"scaled": "0.386"})  # as `avatar import` makes of a .glb
+    assert describe_avatar(mesh)[1] == f"{len(woman):,} splats"
 
 
 @pytest.mark.parametrize("top", TOPS)

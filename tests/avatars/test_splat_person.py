@@ -123,6 +123,7 @@ def test_a_file_of_something_else_is_told_what_a_person_is(
         load_splat_person(tmp_path / name)
     assert "binding.npz" in caught.value.remedy and "skin" in caught.value.remedy
     assert name in str(caught.value)
+    assert ("--motion FILE" in caught.value.remedy) == name.endswith(".fbx")
 
 
 def test_an_avatar_of_ours_needs_no_import(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from gn0.bench.compare import compare_runs, name_pairing, paired_interval, sign_flip_chance
+from gn0.bench.results import load_summary
 from gn0.bench.runner import run_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, StorageError
@@ -125,3 +126,13 @@ def test_a_refusal_names_what_differs(flat_folder: Path, tmp_path: Path) -> None
     with pytest.raises(BenchError, match=r"they differ in .*step limit") as caught:
         compare_runs(tmp_path / "a", tmp_path / "b")
     assert "navigation error" in str(caught.value)
+
+
+def test_walks_of_an_examination_and_other_folders_are_no_runs(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="no run there") as caught:
+        load_summary(tmp_path)
+    assert "gn0 bench run" in caught.value.remedy
+    (tmp_path / "walks.jsonl").touch()
+    with pytest.raises(StorageError, match="walks of gn0 policy examine") as caught:
+        load_summary(tmp_path)
+    assert "gn0 policy study" in caught.value.remedy

@@ -210,6 +210,19 @@ def test_a_missing_part_is_named(copy: Path, name: str) -> None:
     assert name.split("/")[-1].split(".")[0] in str(caught.value) or "flat" in str(caught.value)
 
 
+def test_a_scene_or_nothing_in_place_of_a_suite_is_told_how_one_is_made(
+    flat_folder: Path, tmp_path: Path
+) -> None:
+    for folder, remedy in (
+        (flat_folder, f"gn0 missions generate {flat_folder} --out SUITE"),
+        (tmp_path, "give the folder that gn0 missions generate"),
+        (tmp_path / "absent", "check that the path exists"),
+    ):
+        with pytest.raises(StorageError, match="no suite there") as caught:
+            load_suite(folder)
+        assert remedy in caught.value.remedy
+
+
 def test_half_a_file_is_told(copy: Path) -> None:
     for name in ("suite.json", "episodes.parquet"):
         whole = (copy / name).read_bytes()

@@ -20,7 +20,11 @@ from gn0.training.runs.progress_line import (
     format_report,
     format_seconds,
 )
-from gn0.training.runs.recipe_text import describe_command, describe_recipe
+from gn0.training.runs.recipe_text import (
+    describe_command,
+    describe_recipe,
+    list_recipe_differences,
+)
 from gn0.training.runs.run_folder import (
     CHECKPOINTS,
     EVENTS,
@@ -231,6 +235,18 @@ def test_recipes_and_commands_are_kept_without_secrets() -> None:
     shown = describe_command(words)
     assert not {"x", "y", "z"} & set(" ".join(shown).replace("=", " ").split())
     assert shown[3:5] == ["--tokenizer", "t"] and shown[-2:] == ["--out", "o"]
+
+
+def test_of_a_table_only_what_differs_is_told() -> None:
+    """Shown as a whole it is cut, and was the same before and after."""
+    long = {f"field_{k}": k for k in range(9)}
+    then = {"plan": {**long, "samples": 8}, "inputs": {}, "seed": 0}
+    now = {"plan": {**long, "samples": 16}, "inputs": {"all": 1.0}, "seed": 0}
+    held, free = list_recipe_differences(then, now, free=("plan",))
+    assert free == ["plan.samples was 8, is 16"]
+    assert held == ["inputs was {}, is {'all': 1.0}"]
+    deeper = list_recipe_differences({"a": {"b": {"c": 1}}}, {"a": {"b": {"c": 2}, "d": 3}})[0]
+    assert deeper == ["a.b.c was 1, is 2", "a.d was '(absent)', is 3"]
 
 
 def test_the_line_says_rate_losses_and_time_left() -> None:

@@ -749,3 +749,37 @@ def test_the_page_says_what_was_not_run(tmp_path: Path) -> None:
     if "none was run" in page:
         assert page == (tmp_path / "page.md").read_text()
     assert "17 M weights) from random weights on generated scenes" in page.split("\n")[2]
+
+
+def _findings() -> tuple[str, str]:
+    """What the page says so far, and all that stands below."""
+    page = (ROOT / "docs/ablation.md").read_text()
+    head, below = page.split("\n## How it is read\n")
+    return head[head.index("**What it says so far**") : head.index("In miniature, models")], below
+
+
+def test_intervals_that_the_page_speaks_of_stand_in_its_rows() -> None:
+    said, below = _findings()
+    assert said in (ROOT / "runs/ablation/preface.md").read_text()
+    number = r"([+−-]?\d+\.\d+)"
+    wanted = re.findall(rf"{number}(?: %| points)? \({number} to {number}", said)
+    assert len(wanted) >= 12
+    lacks = {"48.6"}  # of drawn answers with all pictures, as it says
+    for middle, low, high in wanted:
+        a, b, c = (float(one.replace("−", "-")) for one in (middle, low, high))
+        rows = (f"{a:.1f} [{b:.1f}, {c:.1f}]", f"{a:+.1f} [{b:+.1f}, {c:+.1f}]",
+                f"{-a:+.1f} [{-c:+.1f}, {-b:+.1f}]")  # fmt: skip
+        assert middle in lacks or any(row in below for row in rows), (middle, low, high)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_study_in_miniature_does_not_say_what_the_full_one_found(tmp_path: Path) -> None:
+    done = subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(tmp_path / "out"), "tiny", "study"],
+        env={**os.environ, "PYTHON": sys.executable}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode in (0, 1), done.stderr
+    page = (tmp_path / "out/ablation.md").read_text()
+    assert "**In miniature: models of 2 M weights" in page
+    assert "What it says so far" not in page and "Shortfalls" not in page
+    assert "**One rule of evaluation**" in page and "\nIn miniature, models" in page

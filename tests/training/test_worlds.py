@@ -12,7 +12,7 @@ pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm
-from gn0.errors import JobError, StorageError
+from gn0.errors import BenchError, ConfigError, DeviceError, JobError, StorageError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.bae.policy_settings import PolicySettings
@@ -22,7 +22,14 @@ from gn0.suites.suite import save_suite
 from gn0.training import worlds
 from gn0.training.exams import examination, recurrent_examination
 from gn0.training.streams.live_counts import LiveCounts
-from gn0.training.worlds import OpeningLine, load_lessons, pick_evenly
+from gn0.training.worlds import (
+    OpeningLine,
+    leave_out_long,
+    load_held_out,
+    load_lessons,
+    open_card,
+    pick_evenly,
+)
 
 
 def test_few_episodes_are_spread_over_all() -> None:
@@ -77,6 +84,59 @@ def test_a_suite_is_read_once_as_long_as_it_is_as_it_was(tmp_path) -> None:
     assert len(load_lessons(folder).episodes) == 2
 
 
+@pytest.fixture
+def small_suite(tmp_path):
+    """A suite of the built-in flat, all of whose episodes are of one split."""
+    save_scene(replace(build_example_scene(), id="flat"), tmp_path / "flat")
+    scene = load_scene(tmp_path / "flat")
+    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 3, 0)
+    return save_suite(tmp_path / "suite", [scene], episodes, name="one").folder
+
+
+def test_another_scene_under_the_same_name_is_refused(small_suite) -> None:
+    """Else a run would learn in one scene, and its hash name another."""
+    lessons = load_lessons(small_suite)
+    assert [scene.id for scene in lessons.open_scenes()] == ["flat"]
+    there = lessons.suites[0].scene_folder("flat")
+    example = build_example_scene()
+    shutil.rmtree(there)
+    save_scene(replace(example, id="flat", objects=example.objects[:-1]), there)
+    with pytest.raises(BenchError, match="is not the 'flat' that this suite was built for"):
+        load_lessons(small_suite).open_scenes()
+
+
+def test_a_split_that_is_not_there_says_how_to_do_without(small_suite) -> None:
+    with pytest.raises(ConfigError, match="no split 'train'") as told:
+        load_lessons(small_suite, ["train"])
+    assert "--split all" in told.value.remedy
+    with pytest.raises(ConfigError, match="no split 'val_unseen'") as told:
+        load_held_out(small_suite, ["val_unseen"])
+    assert "--held-out ''" in told.value.remedy and "--split" not in told.value.remedy
+
+
+def test_whoever_has_no_card_is_told_how_to_train_without(monkeypatch) -> None:
+    def refuse(name: str):
+        raise DeviceError("no NVIDIA driver is here", where="libcuda.so.1", remedy=worlds.CPU)
+
+    monkeypatch.setattr(worlds, "open_device", refuse)
+    for name in ("auto", "cuda:1"):
+        with pytest.raises(DeviceError, match="no NVIDIA driver") as told:
+            open_card(name)
+        assert told.value.remedy.startswith("--device host ") and "backend" not in str(told.value)
+    device = SimpleNamespace(kind="host")
+    assert open_card(device) is device
+
+
+def test_texts_that_are_all_too_long_say_what_length_has_room(small_suite) -> None:
+    lessons = load_lessons(small_suite)
+    words = SimpleNamespace(encode=lambda text: list(range(9 if text else 0)))
+    settings = SimpleNamespace(text_length=3)
+    pupil = SimpleNamespace(longest_text=-4, words=words, settings=settings)
+    with pytest.raises(ConfigError, match="all 3 episodes say more than 0 tokens") as told:
+        leave_out_long(lessons, pupil, print)
+    assert "--text-length 16 " in told.value.remedy  # 7 are the prompt's, 9 the text's
+
+
 def test_a_card_has_map_pictures_drawn_ahead_and_goes_on_without(monkeypatch) -> None:
     """Where that fails, nothing is lost but time; the emulation draws them in their turn."""
     told: list[str] = []
@@ -84,7 +144,10 @@ def test_a_card_has_map_pictures_drawn_ahead_and_goes_on_without(monkeypatch) ->
     shown = PolicySettings(prompt="short", pictures=("near",), form=form)
     about = SimpleNamespace(agent=None, max_steps=9, success_radius=3.0)
     lessons = SimpleNamespace(
-        suites=(SimpleNamespace(about=about, map_mode="prior"),), scene_folders=[1, 2], episodes=()
+        suites=(SimpleNamespace(about=about, map_mode="prior"),),
+        scene_ids=("a", "b"),
+        open_scenes=lambda: [1, 2],
+        episodes=(),
     )
 
     def open_on(kind: str, draw) -> None:

@@ -36,6 +36,7 @@ from gn0.storage import plain_path, write_atomic
 BINDING_FILE = "binding.npz"
 _REMEDY = "fit a body to it and write weights_idx, weights and joints (or betas) to binding.npz"
 _PERSON = "a person is splats (.ply, .spz, .splat, .sog) with a binding.npz, or a .glb with a skin"
+_MOTION = "its motion is played by gn0 avatar animate BANK --motion FILE; "
 _SPLATS = (".ply", ".spz", ".splat", ".sog", ".ksplat", ".json", "")  # by their ends; "": folders
 _TALL = (0.5, 2.6)  # what a person may measure in T-pose [m]
 _WIDE, _DEEP = 3.0, 1.5  # and from hand to hand and front to back, at most [m]
@@ -87,7 +88,8 @@ def _load_splats(file: Path) -> CloudFile:
         if file.suffix.lower() in _SPLATS:
             raise
         what = f"is not a person that can be read: {error.what}"
-        raise FormatError(what, file=file, remedy=_PERSON) from None
+        remedy = _MOTION + _PERSON if file.suffix.lower() in (".bvh", ".fbx") else _PERSON
+        raise FormatError(what, file=file, remedy=remedy) from None
 
 
 def load_splat_person(

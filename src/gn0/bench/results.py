@@ -417,6 +417,15 @@ def load_summary(run: Path | str) -> RunSummary:
             where=run,
             remedy="give the same `gn0 bench run` command again; it goes on where it stopped",
         )
+    if not path.exists():
+        walks = (Path(run) / "walks.jsonl").exists()
+        raise StorageError(
+            "walks of gn0 policy examine, not a run" if walks else f"no run there: no {SUMMARY}",
+            where=run,
+            remedy="walk the suite by `gn0 bench run`, or compare them by `gn0 policy study`"
+            if walks
+            else "give the folder that `gn0 bench run` wrote",
+        )
     return load_json(path, RunSummary)
 
 

@@ -45,7 +45,7 @@ def run(args: Args) -> int:
         progress("checking", len(avatars), len(avatars))
     for name, findings in found.items():
         for finding in findings:
-            print(f"{name:<10}{finding.code}: {finding.text}")
+            print(f"{name:<9} {finding.code}: {finding.text}")
     wrong = sum(bool(findings) for findings in found.values())
     print(
         f"{counted(len(avatars), 'avatar')}: "

@@ -229,6 +229,17 @@ def load_suite_scene(folder: Path, scene_id: str, expected_hash: str) -> Scene:
     return scene
 
 
+def _no_suite(folder: Path) -> StorageError:
+    """What lies there instead, and how a suite is made of it."""
+    if (folder / "scene.json").is_file() or (folder / "corpus.json").is_file():
+        remedy = f"these are scenes: gn0 missions generate {folder} --out SUITE makes a suite"
+    elif folder.is_dir():
+        remedy = "give the folder that gn0 missions generate, or gn0 bench suite, wrote"
+    else:
+        remedy = "check that the path exists"
+    return StorageError(f"no suite there: no {SUITE_FILE}", where=folder, remedy=remedy)
+
+
 def load_suite(path: Path | str) -> Suite:
     """Read a suite folder, or the URL of one, and check that its parts belong together.
 
@@ -242,6 +253,8 @@ def load_suite(path: Path | str) -> Suite:
     folder = local_path(path)
     check_contained(folder)
     about_path = safe_join(folder, SUITE_FILE)
+    if not about_path.exists():
+        raise _no_suite(folder)
     about = load_json(about_path, SuiteFile)
     if about.layout != SUITE_VERSION:
         raise BenchError(

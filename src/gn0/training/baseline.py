@@ -37,7 +37,7 @@ from gn0.training.runs.training_state import load_state
 from gn0.training.stage_run import StageJob, open_place, open_stage_run
 from gn0.training.streams.step_ring import find_torch_device
 from gn0.training.streams.stream_walks import StreamWalks
-from gn0.training.worlds import load_lessons, open_world
+from gn0.training.worlds import load_held_out, load_lessons, open_world
 
 FREE = ("told", "examined")  # of a job: what may differ where a run goes on
 TEXT_LENGTH = 96  # tokens of an instruction at least, so that longer ones of other suites are read
@@ -96,7 +96,7 @@ def train_baseline(
     """
     lessons = load_lessons(job.suites, job.splits)
     exam = job.exam_suite
-    examined = load_lessons(exam, job.held_out).texts if job.held_out and job.examined else ()
+    examined = load_held_out(exam, job.held_out).texts if job.held_out and job.examined else ()
     place = open_place(device, say)
     with open_stage_run(
         job, "baseline", out, place, hashes={"corpus": lessons.hash}, fresh=fresh,

@@ -38,7 +38,13 @@ from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
 from gn0.training.streams.stream_growing import StreamGrowing, check_joins
 from gn0.training.streams.stream_jittered import StreamJittered
-from gn0.training.worlds import Lessons, leave_out_long, load_lessons, wait_for_suites
+from gn0.training.worlds import (
+    Lessons,
+    leave_out_long,
+    load_held_out,
+    load_lessons,
+    wait_for_suites,
+)
 
 OpenPart = Callable[[Lessons, int, int], Stream]
 
@@ -224,7 +230,7 @@ def open_imitation(
         if not job.reads_dataset:
             wait_for_suites(job.lots[0], place.say)
             if job.held_out and (Path(job.exam_suite) / SUITE_FILE).is_file():
-                load_lessons(job.exam_suite, job.held_out)  # a split that is not there is told now
+                load_held_out(job.exam_suite, job.held_out)  # a split that is not there is told now
         hashes = {"corpus": hash_corpus()}
         if job.recipe.lora:  # states are without the model: it must be the same when a run goes on
             hashes["base"] = hash_shards(job.start)

@@ -25,7 +25,6 @@ import torch
 
 from gn0.config import Config
 from gn0.device.device import Device
-from gn0.device.open import open_device
 from gn0.policies.bae.policy_settings import FILE, load_policy_settings
 from gn0.policies.qwen.weights import hash_shards
 from gn0.storage import content_hash, read_bytes
@@ -48,7 +47,7 @@ from gn0.training.runs.training_state import (
     name_device,
 )
 from gn0.training.sharding import gather_checkpoint
-from gn0.training.worlds import Lessons, load_lessons, wait_for_suites
+from gn0.training.worlds import Lessons, load_held_out, load_lessons, open_card, wait_for_suites
 
 Examine = Callable[[], Mapping[str, float]]
 FREE = ("plan", "examined", "asked", "speed")  # of a job: what may differ where a run goes on
@@ -221,7 +220,7 @@ def open_place(
     """
     device, card = processes.name_card(device), None
     if walks:
-        card = open_device(device) if isinstance(device, str) else device
+        card = open_card(device)
         on_card = card.kind == "cuda"
     else:
         on_card = torch.cuda.is_available() and device != "host"
@@ -238,7 +237,7 @@ def open_lessons(job: StageJob, say: Callable[[str], None]) -> Lessons:
     wait_for_suites(job.suites, say)
     if job.held_out:
         wait_for_suites([job.exam_suite], say)
-        load_lessons(job.exam_suite, job.held_out)  # a split that is not there is told now
+        load_held_out(job.exam_suite, job.held_out)  # a split that is not there is told now
     return load_lessons(job.suites, job.splits)
 
 

@@ -10,15 +10,18 @@ from typing import Any, Protocol, TypedDict
 
 from gn0.counted import counted
 from gn0.device.device import Device
-from gn0.errors import ConfigError, Gn0Error, TrainingError
+from gn0.device.libcuda import CPU
+from gn0.device.open import open_device
+from gn0.errors import ConfigError, DeviceError, Gn0Error, TrainingError
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES, PolicySettings
 from gn0.progress import Progress
+from gn0.scenes.scene import Scene
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
 from gn0.sim.maps_ahead import draw_maps_ahead
 from gn0.storage import content_hash
-from gn0.suites.suite import SUITE_FILE, Suite
+from gn0.suites.suite import SUITE_FILE, Suite, load_suite_scene
 from gn0.suites.suite_kept import load_suite_kept
 from gn0.training.pupil import Pupil
 
@@ -58,16 +61,23 @@ class Lessons:
         return tuple(episode.instruction for episode in self.episodes)
 
     @property
-    def scene_folders(self) -> tuple[Path, ...]:
-        """Folders of the scenes in which something takes place, by the scenes' ids."""
-        wanted = {episode.scene_id for episode in self.episodes}
-        found = {
-            scene.id: suite.scene_folder(scene.id)
-            for suite in self.suites
-            for scene in suite.about.scenes
-            if scene.id in wanted
-        }
-        return tuple(found[name] for name in sorted(found))
+    def scene_ids(self) -> tuple[str, ...]:
+        """Ids of the scenes in which something takes place, sorted."""
+        return tuple(sorted({episode.scene_id for episode in self.episodes}))
+
+    def open_scenes(self) -> list[Scene]:
+        """The scenes of `scene_ids`, each the very one that its suite was made for.
+
+        Raises:
+            BenchError: another scene lies there, or it changed: the hash would name what nobody
+                learned from.
+            StorageError, FormatError, SceneError: one cannot be read.
+        """
+        holds = {scene.id: suite for suite in self.suites for scene in suite.about.scenes}
+        return [
+            load_suite_scene(holds[name].scene_folder(name), name, holds[name].scene_hash(name))
+            for name in self.scene_ids
+        ]
 
     @property
     def hash(self) -> str:
@@ -75,8 +85,17 @@ class Lessons:
         return content_hash(*(suite.hash for suite in self.suites), *self.splits)
 
 
-def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str] = ()) -> Lessons:
+def load_lessons(
+    suites: Path | str | Sequence[Path | str],
+    splits: Sequence[str] = (),
+    otherwise: str = "--split all takes every one",
+) -> Lessons:
     """The episodes of one suite or several.
+
+    Args:
+        suites: their folders.
+        splits: those that count; all when empty.
+        otherwise: what to do where a suite has no such split.
 
     Raises:
         ConfigError: no suite has such a split, two have a scene of the same name, or they differ
@@ -89,7 +108,9 @@ def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str
     for name in splits:
         if name not in known:
             raise ConfigError(
-                f"no split {name!r}", where=opened[0].folder, remedy=f"known: {', '.join(known)}"
+                f"no split {name!r}",
+                where=opened[0].folder,
+                remedy=f"known: {', '.join(known)}; {otherwise}",
             )
     names = [scene.id for suite in opened for scene in suite.about.scenes]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -108,6 +129,15 @@ def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str
             )
     episodes = (e for suite in opened for e in suite.episodes if not splits or e.split in splits)
     return Lessons(opened, tuple(splits), tuple(episodes))
+
+
+def load_held_out(suite: Path | str, splits: Sequence[str]) -> Lessons:
+    """The episodes that a policy is examined in.
+
+    Raises:
+        ConfigError, BenchError, FormatError, StorageError: see `load_lessons`.
+    """
+    return load_lessons(suite, splits, "--held-out '' examines in none")
 
 
 def wait_for_suites(
@@ -137,6 +167,26 @@ def wait_for_suites(
         missing = [path for path in missing if not (Path(path) / SUITE_FILE).is_file()]
 
 
+def open_card(device: Device | str = "auto") -> Device:
+    """The device on which agents walk and a policy is asked, by name.
+
+    Raises:
+        DeviceError: there is no such device; says how to go on without a card.
+    """
+    if not isinstance(device, str):
+        return device
+    try:
+        return open_device(device)
+    except DeviceError as error:
+        if device == "host":
+            raise
+        remedy = error.remedy.removesuffix(CPU).rstrip("; ")
+        without = "--device host computes on the CPU: slow, for small models and trials"
+        raise DeviceError(
+            error.what, where=error.where, remedy=f"{remedy}; {without}" if remedy else without
+        ) from error
+
+
 def open_world(
     lessons: Lessons,
     settings: Eyes,
@@ -162,14 +212,15 @@ def open_world(
 
     Raises:
         DeviceError: no such device. DeviceMemoryError: it is too small.
+        BenchError: a scene is not the one that its suite was made for.
     """
     maps = (*SQUARE_NAMES, *MAPS)  # whole ones are drawn of the same pictures, by `EgoAtlas`
     sensors = dict.fromkeys("ego_map" if name in maps else name for name in settings.shown)
-    suite, folders = lessons.suites[0], lessons.scene_folders
-    say(f"opening {counted(len(folders), 'scene')} for {counted(count, 'agent')}")
+    suite = lessons.suites[0]
+    say(f"opening {counted(len(lessons.scene_ids), 'scene')} for {counted(count, 'agent')}")
     env = VectorEnvDevice(
         count,
-        folders,
+        lessons.open_scenes(),
         episodes=lessons.episodes,
         device=device,
         sensors=tuple(sensors) or ("goal_vector",),
@@ -259,14 +310,17 @@ def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -
     Raises:
         ConfigError: none is short enough.
     """
-    longest, words = pupil.longest_text, pupil.words
-    kept = tuple(e for e in lessons.episodes if len(words.encode(e.instruction)) <= longest)
+    longest, words = max(pupil.longest_text, 0), pupil.words
+    lengths = [len(words.encode(episode.instruction)) for episode in lessons.episodes]
+    kept = tuple(e for e, n in zip(lessons.episodes, lengths, strict=True) if n <= longest)
     if not kept:
+        wanted = pupil.settings.text_length + max(lengths, default=0) - pupil.longest_text
         raise ConfigError(
-            f"all {len(lessons.episodes)} episodes say more than {longest} tokens, for which the "
+            f"all {counted(len(lengths), 'episode')} say more than {longest} tokens, for which the "
             "policy's prompt has room",
             where=", ".join(suite.name for suite in lessons.suites),
-            remedy="give others, or teach it longer prompts first (gn0 train dagger --text-length)",
+            remedy=f"--text-length {wanted} has room for all of them (a policy that is trained "
+            "already learns it by `gn0 train dagger --text-length`)",
         )
     if len(kept) < len(lessons.episodes):
         left = counted(len(lessons.episodes) - len(kept), "episode")

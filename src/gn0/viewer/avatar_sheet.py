@@ -64,7 +64,7 @@ def draw_avatars(
 def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
     """Name and three short lines of what can be seen."""
     r = avatar.record
-    if not r:
+    if "sex" not in r:  # not drawn from a seed: a mesh's record says how it was read
         return (avatar.name, f"{len(avatar):,} splats", avatar.source[:36])
 
     def worn(what: str) -> str:

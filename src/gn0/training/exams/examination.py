@@ -22,7 +22,7 @@ from gn0.training.worlds import (
     Lessons,
     leave_out_long,
     list_maps,
-    load_lessons,
+    load_held_out,
     open_world,
     pick_evenly,
     wait_for_suites,
@@ -103,7 +103,7 @@ class Examination:
     @cached_property
     def _lessons(self) -> Lessons:
         wait_for_suites([self.suite], self._say)
-        return leave_out_long(load_lessons(self.suite, self.splits), self.pupil, self._say)
+        return leave_out_long(load_held_out(self.suite, self.splits), self.pupil, self._say)
 
     @cached_property
     def _states(self) -> tuple[LabelledStates, dict[str, tuple[SampleMaker, Actor]]]:

@@ -18,7 +18,6 @@ import torch
 import gn0
 from gn0.counted import counted
 from gn0.device.device import Device
-from gn0.device.open import open_device
 from gn0.errors import ConfigError
 from gn0.progress import Progress, no_progress
 from gn0.storage import content_hash
@@ -27,7 +26,7 @@ from gn0.training.exams.walk_job import WalkJob
 from gn0.training.exams.walks import Walk
 from gn0.training.exams.walks_folder import WalksAbout, open_walks
 from gn0.training.runs.training_state import name_device
-from gn0.training.worlds import Lessons, load_lessons, open_world, pick_evenly
+from gn0.training.worlds import Lessons, load_lessons, open_card, open_world, pick_evenly
 
 
 def examine_policy(
@@ -64,7 +63,7 @@ def examine_policy(
     wanted = pick_evenly(len(lessons.episodes), job.episodes)
     if not wanted:
         raise ConfigError("no episodes to walk", where=job.suite, remedy="choose another split")
-    card = open_device(device) if isinstance(device, str) else device
+    card = open_card(device)
     here = torch.device("cuda" if card.kind == "cuda" else "cpu")
     dtype = job.dtype if job.dtype != "auto" else "bfloat16" if here.type == "cuda" else "float32"
     about = WalksAbout(

@@ -16,7 +16,7 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.training.exams.evaluation import AskedAgents, EpisodeLoop
 from gn0.training.exams.walks import summarise_walks
 from gn0.training.recurrent_learner import DriverNet, WordTable
-from gn0.training.worlds import Lessons, load_lessons, open_world, pick_evenly
+from gn0.training.worlds import Lessons, load_held_out, open_world, pick_evenly
 
 AGENTS = 512  # that are examined at once at most
 
@@ -87,7 +87,7 @@ class RecurrentExamination:
 
     @cached_property
     def _lessons(self) -> Lessons:
-        return load_lessons(self.suite, self.splits)
+        return load_held_out(self.suite, self.splits)
 
     @cached_property
     def _env(self) -> VectorEnvDevice:

@@ -13,6 +13,7 @@ from gn0.errors import brief
 from gn0.plugins import SECRETS
 
 HIDDEN = "(not kept)"
+_ABSENT = "(absent)"
 _WORD = re.compile(r"[-_.\s]+")
 
 
@@ -82,8 +83,19 @@ def list_recipe_differences(
     held: list[str] = []
     free_ones: list[str] = []
     for name in sorted({*then, *now}):
-        before, after = then.get(name, "(absent)"), now.get(name, "(absent)")
+        before, after = then.get(name, _ABSENT), now.get(name, _ABSENT)
         if before != after:
-            text = f"{name} was {brief(before)}, is {brief(after)}"
-            (free_ones if name in free else held).append(text)
+            (free_ones if name in free else held).extend(_tell_difference(name, before, after))
     return held, free_ones
+
+
+def _tell_difference(name: str, before: Any, after: Any) -> list[str]:
+    """Of tables only the fields that differ: a table shown as a whole is cut before them."""
+    if not (isinstance(before, Mapping) and isinstance(after, Mapping) and before and after):
+        return [f"{name} was {brief(before)}, is {brief(after)}"]
+    told: list[str] = []
+    for key in sorted({*before, *after}):
+        a, b = before.get(key, _ABSENT), after.get(key, _ABSENT)
+        if a != b:
+            told += _tell_difference(f"{name}.{key}", a, b)
+    return told

@@ -259,7 +259,8 @@ def _check_room(
         raise StorageError(
             f"a checkpoint takes {needed / 1e6:,.0f} MB, {free / 1e6:,.0f} MB are free",
             where=folder,
-            remedy="free some space, choose another --out, or leave the optimiser behind; "
+            remedy="free some space, choose another --out, or leave the optimiser behind "
+            "(--drop-optimiser); "
             "the checkpoints that are there are whole",
         )
 

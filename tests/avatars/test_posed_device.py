@@ -279,11 +279,6 @@ def test_who_is_expected_is_there_when_asked_for(batch: RendererBatch) -> None:
     bank.expect(send(5, 0))
     assert bank.answer(poses) == 1 and bank.bytes > bank.budget
     assert bank.pose_expected(poses) == 0 and bank.bytes == bank.budget and 5 in bank
-    small = PosedBankDevice(batch, budget=2 * one.bytes)
-    small.find(send(1, 2), chosen, poses)
-    small.expect(send(1, 2))
-    assert small.find(send(2, 3), chosen, poses) == 1
-    assert chosen.numpy().min() >= 0 and 1 not in small, "who is asked for now stays"
 
 
 def test_a_table_learns_what_comes_and_goes(batch: RendererBatch) -> None:

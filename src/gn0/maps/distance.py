@@ -152,7 +152,8 @@ class GeodesicField:
         self.label, self.roots, self.parents = spread_distances(
             geodesic_map.runs,
             geodesic_map.corners,
-            (self.goals - (float(grid.origin[0]), float(grid.origin[1]))) / s,
+            # in this order, whatever the goals' is: for another one all would be compiled again
+            np.ascontiguousarray((self.goals - (float(grid.origin[0]), float(grid.origin[1]))) / s),
             np.zeros((0, 0), np.bool_) if self.inside is None else self.inside,
         )
 

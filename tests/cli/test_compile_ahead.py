@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,8 @@ def test_each_call_names_a_kernel_and_its_arguments() -> None:
 @pytest.mark.parametrize("job", JOBS)
 def test_the_list_has_all_that_a_job_calls(job: str, recorded: dict[str, list[str]]) -> None:
     """If it has not: `python -m gn0_trials.kernel_record FOLDER` records it again."""
+    if job not in recorded:
+        pytest.skip("training needs torch")
     assert recorded[job] and set(recorded[job]) <= set(list_calls())
 
 
@@ -117,4 +120,5 @@ def test_the_list_has_all_that_a_job_calls(job: str, recorded: dict[str, list[st
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     """What each job calls; jobs find what those before them made."""
     folder = tmp_path_factory.mktemp("recorded")
-    return {job: record_job(job, folder) for job in JOBS}
+    jobs = [job for job in JOBS if job != "train" or find_spec("torch")]
+    return {job: record_job(job, folder) for job in jobs}

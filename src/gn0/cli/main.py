@@ -87,10 +87,10 @@ KERNELS: dict[str, tuple[str, ...]] = {
     "missions generate": ("missions",),
     "data build": ("data",),
     "data dagger": ("data",),
-    "train sft": ("device",),
-    "train dagger": ("device",),
-    "train dapo": ("device",),
-    "train rl": ("device",),
+    "train sft": ("device", "train"),
+    "train dagger": ("device", "train"),
+    "train dapo": ("device", "train"),
+    "train rl": ("device", "train"),
     "policy examine": ("device",),
 }
 GROUPS = {

@@ -147,13 +147,14 @@ class GeodesicField:
             self.inside, self.goals = _enter_areas(grid, goal)
         else:
             self.goals = _free_goals(grid, goal)
+        # for rows in another order of memory each kernel that takes them would be compiled again
+        self.goals = np.ascontiguousarray(self.goals)
         self.goal = (float(self.goals[0, 0]), float(self.goals[0, 1]))
         s = grid.resolution
         self.label, self.roots, self.parents = spread_distances(
             geodesic_map.runs,
             geodesic_map.corners,
-            # in this order, whatever the goals' is: for another one all would be compiled again
-            np.ascontiguousarray((self.goals - (float(grid.origin[0]), float(grid.origin[1]))) / s),
+            (self.goals - (float(grid.origin[0]), float(grid.origin[1]))) / s,
             np.zeros((0, 0), np.bool_) if self.inside is None else self.inside,
         )
 

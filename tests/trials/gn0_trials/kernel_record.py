@@ -10,6 +10,7 @@ of a job come after those of the jobs that made what they read.
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -38,6 +39,10 @@ JOBS: dict[str, tuple[str, ...]] = {
         "data build follows --out samples",
     ),
     "device": ("figures people.sim.cuda --out board", "! many"),
+    "train": (  # it needs torch
+        "train sft goals --split all --held-out= --size nano --samples 64 --batch 8 --agents 4 "
+        "--device host --overwrite --out trained",
+    ),
 }
 
 
@@ -59,13 +64,13 @@ def record_job(job: str, folder: Path, environment: dict[str, str] | None = None
         **os.environ,
         "PYTHONPATH": os.pathsep.join(paths),
         "GN0_KERNEL_CALLS": str(calls),
-        "GN0_DEVICE": "host" if job == "device" else "cpu",
+        "GN0_DEVICE": "host" if job in ("device", "train") else "none",
         **(environment or {}),
     }
     for command in JOBS[job]:
         module = ("gn0_trials.kernel_record",) if command.startswith("!") else ("gn0",)
         done = subprocess.run(
-            [sys.executable, "-m", *module, *command.split()],
+            [sys.executable, "-m", *module, *shlex.split(command)],
             cwd=folder, env=ours, capture_output=True, text=True, errors="replace",
         )  # fmt: skip
         if done.returncode not in (0, 1):  # 1: a finding, as of episodes that failed

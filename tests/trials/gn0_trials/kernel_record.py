@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 
 from gn0.kernel_list import FILE, read_list, write_list
+from gn0.storage import cache_dir
 
 SITE = Path(__file__).parent / "kernel_site"
 _FLAT = "scene generate --size small --density 5000 --light draft --seed 1 --out flat --overwrite"
@@ -59,11 +60,17 @@ def record_job(job: str, folder: Path, environment: dict[str, str] | None = None
     """
     calls = (folder / f"{job}.calls").resolve()
     calls.unlink(missing_ok=True)
+    cache = (folder / f"cache-{job}").resolve()  # with nothing kept that kernels had made
+    cache.mkdir(mode=0o700, exist_ok=True)
+    if (cache_dir() / "emulation").is_dir() and not (cache / "emulation").exists():
+        (cache / "emulation").symlink_to(cache_dir() / "emulation")
     paths = [str(SITE), *filter(None, sys.path)]
     ours = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(paths),
         "GN0_KERNEL_CALLS": str(calls),
+        "GN0_CACHE": str(cache),
+        "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR") or str(cache_dir() / "numba"),
         "GN0_DEVICE": "host" if job in ("device", "train") else "none",
         **(environment or {}),
     }

@@ -14,6 +14,6 @@ USER gn0
 WORKDIR /home/gn0
 ENV GN0_CACHE=/home/gn0/.cache/gn0
 # proves the image, and compiles the kernels while it is made, not when it is first used
-RUN gn0 doctor && gn0 demo --out /tmp/demo && rm -r /tmp/demo
+RUN gn0 doctor --compile && gn0 demo --out /tmp/demo && rm -r /tmp/demo
 ENTRYPOINT ["gn0"]
 CMD ["--help"]

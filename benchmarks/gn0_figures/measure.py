@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gn0 import __version__
+from gn0.cli.compile_ahead import compile_all, is_compiled
 from gn0.cli.console import draw_progress
 from gn0.cli.figures import Args
 from gn0.errors import ConfigError
@@ -107,6 +108,10 @@ class _Run:
         try:
             if figure.backend == "cuda":
                 device = open_figure_device()
+                if device.kind == "cuda" and not is_compiled("device"):
+                    compile_all(
+                        "device", progress=context.progress
+                    )  # beside it they would be timed
                 self.hardware = f"{describe_device(device)} · {self.hardware}"
                 context = replace(context, device=device)
             rows = figure.measure(replace(context, report=self._report))

@@ -40,6 +40,8 @@ def _claim_cache() -> str:
                 used = max(path.stat().st_mtime for path in (other, *other.glob("*.nbi")))
                 if time.time() - used > _KEPT_DAYS * 86400:
                     shutil.rmtree(other, ignore_errors=True)
+                    if other.is_file():  # it says that all is compiled, which now may not be true
+                        other.unlink()
             stamp.touch()
     return str(mine)
 
@@ -99,9 +101,18 @@ def njit_borrowing(function: Callable[..., Any] | None = None, **options: Any) -
     return njit(function, **{"_nrt": False, **options})
 
 
-def is_compiled(kernel: Any) -> bool:
-    """Whether a kernel has compiled code in the cache, as it is now."""
-    return _caching and (_home_of(kernel) / f"{_NAME}.nbi").exists()
+def is_locked(kernel: Any) -> bool:
+    """Whether another process compiles a kernel at this moment."""
+    try:
+        import fcntl
+
+        with open(_home_of(kernel) / _LOCK, "ab") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except (ImportError, OSError):
+        pass
+    return False
 
 
 def _home_of(kernel: Any) -> Path:

@@ -37,7 +37,7 @@ def test_no_driver_means_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, healthy = examine_gpu()
     assert healthy and rows[0] == ("gpu", "no NVIDIA driver is here", "·")
     rows, healthy = examine_gpu(compile_all=True)
-    assert not healthy and "no card to compile for" in rows[-1][1]
+    assert healthy and "no card to compile for" in rows[-1][1]  # the host's are compiled
     with pytest.raises(ConfigError, match="architecture 'hopper'"):
         examine_gpu(architecture="hopper")
 

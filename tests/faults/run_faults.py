@@ -83,7 +83,7 @@ class Lane:
                 shutil.copy2(source, target)  # with its time: the kernel cache goes by it
         self.map = TestMap(self.tree)
         self.kernels.mkdir(parents=True, exist_ok=True)
-        code = "from gn0.cli.compile_ahead import use_kernels; use_kernels()"
+        code = "from gn0.cli.compile_ahead import compile_all; compile_all()"
         subprocess.run(
             [sys.executable, "-c", code], cwd=self.tree, env=self._env(self.kernels), check=False
         )

@@ -108,7 +108,10 @@ def place_body(rest, pose, shift, found):  # type: ignore[no-untyped-def]
         _turn(pose[j, 0], pose[j, 1], pose[j, 2], local)
         parent = _PARENTS[j]
         if parent < 0:
-            turned[j], placed[j] = local, rest[j]
+            for a in range(3):  # by loops: Numba compiles the assignment of an array for seconds
+                placed[j, a] = rest[j, a]
+                for b in range(3):
+                    turned[j, a, b] = local[a, b]
         else:
             up = turned[parent]
             for a in range(3):

@@ -68,7 +68,7 @@ def run(args: Args) -> int:
     claim_folder(out, args)
     with draw_progress() as progress:
         settings = GenerateSettings(seed=args.seed, size="small", density=args.density)
-        with compile_ahead():
+        with compile_ahead("missions", "walk", cores=2):
             generate_scene(settings, out / "apartment", progress=progress)
         _draw_pictures(out / "apartment", out / "pictures", args.seed, progress)
         suite = build_suite(

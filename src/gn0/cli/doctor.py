@@ -7,6 +7,7 @@ import platform
 import shutil
 import sys
 import tempfile
+import time
 from importlib import metadata
 from pathlib import Path
 
@@ -19,7 +20,8 @@ class Args(Config, frozen=True):
     """Settings of `gn0 doctor`.
 
     Attributes:
-        compile: compile the graphics card's kernels now, not on first use.
+        compile: compile all kernels now, not on first use: the processor's, on all cores, and the
+            graphics card's. Stopped half-way, it goes on there the next time.
         architecture: compile for this one, such as sm_90, though no such card is here.
     """
 
@@ -70,6 +72,9 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     rows.append(("cache", cache, "✓" if writable else "✗"))
     kernels, kept = _kernel_cache()
     rows.append(("kernel cache", kernels, "✓" if kept else "✗"))
+    if args.compile and kept:
+        kernels, kept = _compile_kernels()
+        rows.append(("host kernels", kernels, "✓" if kept else "✗"))
     video, encodes = _video()
     rows.append(("video", video, "✓" if encodes else "✗"))
     rows += _extras()
@@ -177,6 +182,20 @@ def _kernel_cache() -> tuple[str, bool]:
     if kernel_cache() is None:
         return f"not used: {folder} cannot be written; set GN0_CACHE", False
     return f"{folder}, which nobody else can write", True
+
+
+def _compile_kernels() -> tuple[str, bool]:
+    """Compile what is not in the cache, and say how much that was."""
+    from gn0.cli.compile_ahead import compile_all
+    from gn0.cli.console import draw_progress
+
+    begun = time.perf_counter()
+    with draw_progress() as progress:
+        found = compile_all(progress=progress)
+    took = time.perf_counter() - begun
+    told = f"{found.made} calls of the processor's kernels compiled now, in {took:.0f} s, "
+    told += f"{found.kept} kept before"
+    return told + (f", {found.failed} failed" if found.failed else ""), not found.failed
 
 
 def _video() -> tuple[str, bool]:

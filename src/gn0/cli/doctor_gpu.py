@@ -40,8 +40,8 @@ def examine_gpu(*, compile_all: bool = False, architecture: str = "") -> tuple[l
     target = _target(card, architecture)
     if not target:
         if compile_all:
-            rows.append(("kernels", "no card to compile for: try --architecture sm_90", "✗"))
-        return rows, tried and not compile_all
+            rows.append(("kernels", "no card to compile for: try --architecture sm_90", "·"))
+        return rows, tried
     kernels, well = _kernels(card, target, compile_all)
     return [*rows, kernels], tried and well
 

@@ -78,6 +78,21 @@ VERBS: dict[str, tuple[str, str]] = {
     "completion": ("completion", "let bash, zsh or fish complete verbs, flags and their values"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }
+# verb -> the jobs of `gn0.kernel_list` whose kernels it may need: compiled beside it, on idle cores
+KERNELS: dict[str, tuple[str, ...]] = {
+    "scene generate": ("scene",),
+    "scene corpus": ("scene",),
+    "view": ("walk",),
+    "bench run": ("walk", "follow"),
+    "missions generate": ("missions",),
+    "data build": ("data",),
+    "data dagger": ("data",),
+    "train sft": ("device", "train"),
+    "train dagger": ("device", "train"),
+    "train dapo": ("device", "train"),
+    "train rl": ("device", "train"),
+    "policy examine": ("device",),
+}
 GROUPS = {
     "scene": "make, import, check and look at scenes",
     "avatar": "people for scenes: make, look at, move, check",
@@ -144,14 +159,24 @@ def _run(module: Any, verb: str, args: Any) -> int:
     """Run a verb; URLs among its arguments are local paths to it."""
     values = [getattr(args, name) for name in args.__struct_fields__]
     if "://" not in repr(values):
-        return int(module.run(args) or 0)
+        return _run_here(module, verb, args)
     from gn0.cli.urls import bring_here, publish_made
 
     args, target = bring_here(verb, args)
-    code = int(module.run(args) or 0)
+    code = _run_here(module, verb, args)
     if target and code in (0, 1):
         publish_made(args, target)
     return code
+
+
+def _run_here(module: Any, verb: str, args: Any) -> int:
+    """Run a verb while idle cores compile the kernels that it will need, once a machine."""
+    if verb not in KERNELS:
+        return int(module.run(args) or 0)
+    from gn0.cli.compile_ahead import compile_ahead
+
+    with compile_ahead(*KERNELS[verb]):
+        return int(module.run(args) or 0)
 
 
 def _no_verb(argv: list[str]) -> int:

@@ -231,7 +231,7 @@ def _open_scene(args: Args, made: Path, progress: Progress) -> Scene:
         from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 
         settings = GenerateSettings(kind=kind[0], seed=kind[1], light="draft")  # type: ignore[arg-type]
-        with compile_ahead():
+        with compile_ahead("missions", "walk", cores=2):
             return generate_scene(settings, made, overwrite=True, progress=progress)
     place = Path(args.scene)
     if (place / "scene.json").is_file():

@@ -147,6 +147,8 @@ class GeodesicField:
             self.inside, self.goals = _enter_areas(grid, goal)
         else:
             self.goals = _free_goals(grid, goal)
+        # for rows in another order of memory each kernel that takes them would be compiled again
+        self.goals = np.ascontiguousarray(self.goals)
         self.goal = (float(self.goals[0, 0]), float(self.goals[0, 1]))
         s = grid.resolution
         self.label, self.roots, self.parents = spread_distances(

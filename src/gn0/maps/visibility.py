@@ -182,7 +182,7 @@ def _sweep(runs, corners, queue, picture, cones, depth, rx, ry, g, root):  # typ
         right_edge = rx + high * rise
         col = min(max(math.floor(rx + low * rise), 0), width - 1)
         while col < width and col < right_edge:
-            begin, end = first[row, col], last[row, col]
+            begin, end = np.int64(first[row, col]), np.int64(last[row, col])
             shut = blocked[row, col]
             col = end
             if shut:
@@ -211,7 +211,9 @@ def _sweep(runs, corners, queue, picture, cones, depth, rx, ry, g, root):  # typ
                 continue
             if depth == len(cones):
                 more = np.empty((2 * depth, 4))
-                more[:depth] = cones
+                for k in range(depth):  # by loops: assigning arrays takes seconds to compile
+                    for part in range(4):
+                        more[k, part] = cones[k, part]
                 cones = more
             cones[depth, 0], cones[depth, 1] = line + up, up
             cones[depth, 2], cones[depth, 3] = a, b
@@ -225,7 +227,7 @@ def _open_source(runs, corners, queue, picture, cones, rx, ry, root):  # type: i
     _, first, last = runs
     field, label = picture
     row, col = math.floor(ry), math.floor(rx)
-    begin, end = first[row, col], last[row, col]
+    begin, end = np.int64(first[row, col]), np.int64(last[row, col])
     _paint(field[row], label[row], begin, end - 1, rx, abs(row + 0.5 - ry), 0.0, root)
     for k in range(2):
         line, up = row + 1 - k, 1 - 2 * k
@@ -233,7 +235,7 @@ def _open_source(runs, corners, queue, picture, cones, rx, ry, root):  # type: i
         rise = abs(line - ry)
         cones[k, 0], cones[k, 1] = line, up
         cones[k, 2], cones[k, 3] = (begin - rx) / rise, (end - rx) / rise
-    return 2
+    return np.int64(2)  # a plain 2 is a type of its own, and so another `_sweep` to compile
 
 
 @njit
@@ -256,7 +258,7 @@ def _open_corner(runs, corners, queue, picture, cones, spot, px, py, g, root):  
         near, far = 0.0, (abs(dx) / abs(dy) if dy != 0 else np.inf)
     row = y0 if up > 0 else y0 - 1
     col = x0 if side > 0 else x0 - 1
-    begin, end = first[row, col], last[row, col]
+    begin, end = np.int64(first[row, col]), np.int64(last[row, col])
     if far == np.inf:  # level rays run along the line, as far as the cells on the open side reach
         if side > 0:
             _offer(corners, queue, y0, x0 + 1, end, rx, ry, g, root)

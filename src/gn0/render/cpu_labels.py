@@ -165,14 +165,14 @@ def label_tiles(  # type: ignore[no-untyped-def]
         best = np.zeros(_PIXELS, np.float32)
         met = np.full(_PIXELS, _NEVER, np.int32)
         shown = np.zeros(_PIXELS, np.uint32)
-        turns, turn = 1, 0
+        turns, turn = np.int64(1), np.int64(0)  # no literals, which are types of their own
         while turn < turns:
             used = _sum_tile(
                 records, indices, rows, x_px, y_px, columns, lines, codes, moving, first_moving,
                 turns, turn, through, sums, firsts, known, slot_of,
             )  # fmt: skip
             if used < 0:  # too many labels: from the beginning, fewer a turn
-                turns, turn = 2 * turns, 0
+                turns, turn = 2 * turns, np.int64(0)
                 best[:] = _ZERO
                 met[:] = _NEVER
                 shown[:] = 0

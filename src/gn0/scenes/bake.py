@@ -293,7 +293,7 @@ def _hemisphere_hits(  # type: ignore[no-untyped-def]
         for k in range(rays):
             dx, dy, dz = _cosine_ray(nx, ny, nz, k, rays, su, sv)
             hit, t, _, _ = closest_hit(
-                boxes, links, corners, ox, oy, oz, dx, dy, dz, np.inf, False, stack
+                boxes, links, corners, ox, oy, oz, dx, dy, dz, np.inf, np.bool_(False), stack
             )
             if hit < 0:
                 continue
@@ -335,7 +335,7 @@ def _openness(point, normal, boxes, links, corners, seed):  # type: ignore[no-un
         for k in range(8):
             dx, dy, dz = _cosine_ray(nx, ny, nz, k, 8, su, sv)
             hit, t, _, _ = closest_hit(
-                boxes, links, corners, ox, oy, oz, dx, dy, dz, np.inf, False, stack
+                boxes, links, corners, ox, oy, oz, dx, dy, dz, np.inf, np.bool_(False), stack
             )
             if hit >= 0:
                 out[i] += min(t, 3.0) / 8
@@ -397,7 +397,7 @@ def _direct_kernel(  # type: ignore[no-untyped-def]
                 hit = -1
                 if far > 0.0:
                     hit, _, _, _ = closest_hit(
-                        boxes, links, corners, ox, oy, oz, dx, dy, dz, far, True, stack
+                        boxes, links, corners, ox, oy, oz, dx, dy, dz, far, np.bool_(True), stack
                     )
                 if hit < 0:
                     # close to a source the sampled form factor is kept finite
@@ -419,7 +419,7 @@ def _direct_kernel(  # type: ignore[no-untyped-def]
                     dy = -sun[1] + s * ay + t * by
                     dz = -sun[2] + s * az + t * bz
                     hit, _, _, _ = closest_hit(
-                        boxes, links, corners, ox, oy, oz, dx, dy, dz, 1e4, True, stack
+                        boxes, links, corners, ox, oy, oz, dx, dy, dz, 1e4, np.bool_(True), stack
                     )
                     lit += hit < 0
                 e = cosine * lit / (4.0 * np.pi)

@@ -194,7 +194,7 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                 # does something stand on the surface there?
                 hit, _, _, _ = closest_hit(
                     boxes, links, corners, px + nx * _LIFT, py + ny * _LIFT, pz + nz * _LIFT,
-                    dx, dy, dz, far, True, stack,
+                    dx, dy, dz, far, np.bool_(True), stack,
                 )  # fmt: skip
                 if hit >= 0:
                     open_sides[i, k] = True  # discs are sorted by their centres: a tail would show
@@ -203,7 +203,7 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                     hit, _, _, _ = closest_hit(
                         boxes, links, corners,
                         px + dx * far + nx * lift, py + dy * far + ny * lift,
-                        pz + dz * far + nz * lift, -nx, -ny, -nz, 2.0 * lift, True, stack,
+                        pz + dz * far + nz * lift, -nx, -ny, -nz, 2.0 * lift, np.bool_(True), stack,
                     )  # fmt: skip
                     open_sides[i, k] = free[i, k] = hit < 0
                 ox, oy, oz = px + 0.4 * reach * dx, py + 0.4 * reach * dy, pz + 0.4 * reach * dz
@@ -217,7 +217,7 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
             far = np.inf if oriented else _COVERED
             hit, t, _, _ = closest_hit(
                 boxes, links, corners, ox + nx * 3e-4, oy + ny * 3e-4, oz + nz * 3e-4,
-                sx, sy, sz, far, False, stack,
+                sx, sy, sz, far, np.bool_(False), stack,
             )  # fmt: skip
             if hit >= 0 and t < _COVERED:
                 covered += 1
@@ -228,7 +228,7 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                 covered += hit < 0 or facing > 0.0
         hit, t, _, _ = closest_hit(
             boxes, links, corners, px - nx * 3e-4, py - ny * 3e-4, pz - nz * 3e-4,
-            -nx, -ny, -nz, np.inf, False, stack,
+            -nx, -ny, -nz, np.inf, np.bool_(False), stack,
         )  # fmt: skip
         depth[i] = t if hit >= 0 else 1.0
         if covered == 5:

@@ -120,7 +120,7 @@ def _seen_share(point, normal, eyes, boxes, links, corners, farthest):  # type: 
             if cosine <= 0.0 or d2 > farthest:
                 continue
             hit, _, _, _ = closest_hit(
-                boxes, links, corners, ox, oy, oz, dx, dy, dz, 1.0, True, stack
+                boxes, links, corners, ox, oy, oz, dx, dy, dz, 1.0, np.bool_(True), stack
             )
             if hit < 0:
                 out[i] += cosine / np.sqrt(d2) / (d2 + 0.3) / len(eyes)

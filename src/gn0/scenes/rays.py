@@ -152,8 +152,8 @@ def _build_tree(lower, upper):  # type: ignore[no-untyped-def]
             for k in range(3):
                 lo[k], hi[k] = min(lo[k], lower[f, k]), max(hi[k], upper[f, k])
                 clo[k], chi[k] = min(clo[k], centre[f, k]), max(chi[k], centre[f, k])
-        boxes[node, :3] = lo
-        boxes[node, 3:] = hi
+        for k in range(3):  # by a loop: assigning arrays takes seconds to compile
+            boxes[node, k], boxes[node, 3 + k] = lo[k], hi[k]
         links[node] = (-1, first, count)
         if count <= _LEAF:
             continue
@@ -314,7 +314,7 @@ def _cast_rays(boxes, links, order, corners, origin, direction, limit):  # type:
                 boxes, links, corners,
                 float(origin[r, 0]), float(origin[r, 1]), float(origin[r, 2]),
                 float(direction[r, 0]), float(direction[r, 1]), float(direction[r, 2]),
-                float(limit[r]), False, stack,
+                float(limit[r]), np.bool_(False), stack,
             )  # fmt: skip
             if best >= 0:
                 face[r] = order[best]
@@ -335,7 +335,7 @@ def _occlude_rays(boxes, links, corners, origin, direction, limit):  # type: ign
                 boxes, links, corners,
                 float(origin[r, 0]), float(origin[r, 1]), float(origin[r, 2]),
                 float(direction[r, 0]), float(direction[r, 1]), float(direction[r, 2]),
-                float(limit[r]), True, stack,
+                float(limit[r]), np.bool_(True), stack,
             )  # fmt: skip
             hit[r] = best >= 0
     return hit

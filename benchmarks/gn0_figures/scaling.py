@@ -110,7 +110,7 @@ def measure_scaling(ctx: FigureContext) -> list[FigureRow]:
         alone = alone or rate
         # one report that stood still is another fault than all that are slow
         each = ", ".join(f"{line['samples_per_second']:,.0f}" for line in lines[1:])
-        said = f"the first {report} steps took {ready:.3g} s, then by {report} steps {each} a second"
+        said = f"the first {report} steps took {ready:.3g} s, then by as many {each} a second"
         for row in _rows(trial, rate, alone, said, tiny):
             rows.append(row)
             ctx.report(row)

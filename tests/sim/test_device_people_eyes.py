@@ -12,7 +12,7 @@ import pytest
 from gn0.avatars import AvatarBank, generate_bank
 from gn0.avatars.detail import choose_level
 from gn0.device.host import DeviceHost
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, DeviceMemoryError, EpisodeError
 from gn0.missions.episode import AgentSpec, Episode, MissionGoal
 from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson, PersonStop
@@ -268,6 +268,28 @@ def test_who_is_posed_ahead_is_seen_the_same(episodes, bank, preset) -> None:
         seen = [env.step(np.array(row))[0] for env in (one, two)]
     lacked = [bank.misses - before for bank, before in zip(posed, begun, strict=True)]
     assert posed[0].ahead == 0 < posed[1].ahead and 2 * lacked[1] < lacked[0]
+
+
+def test_a_step_is_made_though_nobody_can_be_posed_ahead(
+    episodes, bank, preset, monkeypatch
+) -> None:
+    env, twin = (open_device_env(episodes, bank, preset) for _ in range(2))
+    people = env._eyes.people
+    people.ahead = True
+    env.reset(seed=0), twin.reset(seed=0)
+    room, asked, before = people.posed.renderer.pose_parts, [], people.posed.ahead
+
+    def lack(*given):
+        asked.append(given)
+        if people.posed._expected is None:  # of those who are expected; else of who is seen
+            raise DeviceMemoryError("no memory is left")
+        return room(*given)
+
+    monkeypatch.setattr(people.posed.renderer, "pose_parts", lack)
+    for row in ([1, 1, 1], [2, 1, 3], [1, 1, 1]):
+        mine, theirs = env.step(np.array(row))[0], twin.step(np.array(row))[0]
+        np.testing.assert_array_equal(mine["rgb"].numpy(), theirs["rgb"].numpy())
+    assert asked and people.posed.ahead == before
 
 
 def test_what_is_not_drawn_beside_people_is_refused(episodes, bank, preset) -> None:

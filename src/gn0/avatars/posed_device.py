@@ -338,7 +338,6 @@ class PosedBankDevice:
         looked, self._expected = self._expected.numpy(), None
         slots = self._held.find(looked)
         lacking = looked[slots < 0]
-        self.ahead += len(lacking)
         self._call += 1
         self._used[slots[slots >= 0]] = self._call  # posed since it looked
         try:
@@ -348,6 +347,7 @@ class PosedBankDevice:
                 self._make_room(0)
         finally:
             self._call -= 1
+        self.ahead += len(lacking)
         return len(lacking)
 
     def _look(

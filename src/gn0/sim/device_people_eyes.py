@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
 from gn0.avatars.posed_bank import BUDGET, NEARER
 from gn0.avatars.posed_device import HoldsParts, PosedBankDevice
 from gn0.device.device import Device, DeviceArray
-from gn0.errors import ConfigError
+from gn0.errors import ConfigError, DeviceMemoryError, RenderError
 from gn0.geometry import F32, F64
 from gn0.missions.episode import Episode
 from gn0.people.cast import Cast
@@ -186,11 +187,11 @@ class PeopleEyesDevice:
     def pose_ahead(self) -> None:
         """Pose who will be seen next; the device draws what is seen now meanwhile.
 
-        Raises:
-            RenderError, DeviceMemoryError: see `PosedBankDevice.fetch`.
+        Who cannot be posed is posed, or refused, where it is seen: a step that was made is made.
         """
         if self.ahead:
-            self.posed.pose_expected(self.codes)
+            with suppress(RenderError, DeviceMemoryError):
+                self.posed.pose_expected(self.codes)
 
     def _find(
         self, simulator: SimulatorDevice, crowd: np.void, looks: Sequence[DeviceArray]

@@ -107,7 +107,7 @@ def test_one_thread_draws_and_others_copy(orderly: DeviceCuda) -> None:
     try:
         for turn in range(16):
             if turn % 4 == 3:
-                batch._forget_calls()  # so that more is recorded
+                batch._held.forget_calls()  # so that more is recorded
             assert draw(batch, turn) == draw(other, turn)
     finally:
         stop.set()

@@ -100,14 +100,16 @@ def test_parts_learn_several_inputs_though_the_tower_is_idle_in_some_steps(tmp_p
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_numbers_in_parts_and_alone(tmp_path) -> None:
-    assert _learn(tmp_path / "whole", 24)[0] == 0
+    code, said = _learn(tmp_path / "whole", 24)
+    assert code == 0, said
     assert _learn(tmp_path / "parts", 24, dies_at=12)[0] != 0
     assert load_state(tmp_path / "parts" / "checkpoints").counters.step == 2
     code, said = _learn(tmp_path / "parts", 24)
     assert code == 0, said
     assert _losses(tmp_path / "parts") == _losses(tmp_path / "whole")
     _compare(tmp_path / "whole", tmp_path / "parts", 0.0)
-    assert _learn(tmp_path / "whole", 32)[0] == 0
+    code, said = _learn(tmp_path / "whole", 32)
+    assert code == 0, said
     code, said = _learn(tmp_path / "parts", 32, "", count=1)  # a state is whole: one goes on, too
     assert code == 0, said
     assert _losses(tmp_path / "parts") == pytest.approx(_losses(tmp_path / "whole"), abs=1e-5)

@@ -283,7 +283,7 @@ def test_who_is_expected_is_there_when_asked_for(batch: RendererBatch) -> None:
 
 def test_a_table_learns_what_comes_and_goes(batch: RendererBatch) -> None:
     """Thousands of codes, of which a part goes each time: slots are those of a table laid anew."""
-    device, finder = batch.device, SlotFinder(batch.device)
+    device, finder = batch.device, SlotFinder(batch.device, least=32)
     drawn = np.random.default_rng(0)
     held: dict[int, int] = {}
     free, next_code, laid = list(range(600)), 1, 0

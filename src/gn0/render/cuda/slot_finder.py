@@ -16,6 +16,7 @@ from gn0.render.cuda.records import FindSlots, HoldSlots
 
 _MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
 _THREADS = 128
+_LEAST = 2**15  # places: a thousand codes may come and go a step, and each time laid anew it waits
 
 
 class LackingCodes:
@@ -35,10 +36,11 @@ class SlotFinder:
 
     Args:
         device: where.
+        least: places of the table, a power of two.
     """
 
-    def __init__(self, device: Device) -> None:
-        self._device = device
+    def __init__(self, device: Device, least: int = _LEAST) -> None:
+        self._device, self._least = device, least
         self._places = self._keys = 0
         self._held: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
         self._spare: dict[int, tuple[DeviceArray, NDArray[np.uint64]]] = {}
@@ -47,13 +49,14 @@ class SlotFinder:
 
     def set(self, codes: NDArray[np.uint64], slots: NDArray[np.int32], most: int) -> None:
         """Say which code, above 0, is in which slot below `most`; stamps of before are lost."""
-        self._places, self._keys = 1 << max(4 * len(slots), 16).bit_length(), len(codes)
+        self._places = max(1 << (4 * len(slots)).bit_length(), self._least)
+        self._keys = len(codes)
         keys, found = place_codes(codes, slots, self._places)
         upload = self._device.upload
         self._held = upload(keys), upload(found), self._device.zeros((2, most), np.uint32)
 
     def hold(self, codes: NDArray[np.uint64], slots: NDArray[np.int32]) -> bool:
-        """Say that codes, once each, are in slots from now on, -1 for none.
+        """Say that codes, once each, are in slots from now on; -1: in none, where they were in one.
 
         Returns:
             Whether it was done: a table that is full, or knows no such slots, is to be `set`.
@@ -61,9 +64,10 @@ class SlotFinder:
         if self._held is None:
             return False
         keys, found, uses = self._held
-        if 2 * (self._keys + len(codes)) > self._places or slots.max(initial=0) >= uses.shape[1]:
+        more = int((slots >= 0).sum())  # at most: those that went keep their places
+        if 2 * (self._keys + more) > self._places or slots.max(initial=0) >= uses.shape[1]:
             return False
-        self._keys += len(codes)  # at most: some were there before
+        self._keys += more
         there = self._device.upload(np.concatenate([codes, slots.astype(np.int64).view(np.uint64)]))
         count = len(codes)
         record = HoldSlots(

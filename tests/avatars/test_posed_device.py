@@ -281,6 +281,18 @@ def test_who_is_expected_is_there_when_asked_for(batch: RendererBatch) -> None:
     assert bank.pose_expected(poses) == 0 and bank.bytes == bank.budget and 5 in bank
 
 
+def test_an_eighth_of_the_budget_makes_room_at_once(batch: RendererBatch) -> None:
+    device, one = batch.device, PosedBankDevice(batch)
+    one.fetch([(1, Posture())])
+    bank = PosedBankDevice(batch, budget=16 * one.bytes)
+    chosen, poses = device.empty(1, np.int32), PosesOneByOne(lambda code: Posture(0.05 * code))
+    gone = []
+    for code in range(1, 21):
+        bank.find(device.upload(np.array([code], np.uint64)), chosen, poses)
+        gone.append(bank.evicted)
+    assert gone[14:] == [0, 0, 3, 3, 3, 6], "one must, and two more do"
+
+
 def test_a_table_learns_what_comes_and_goes(batch: RendererBatch) -> None:
     """Thousands of codes, of which a part goes each time: slots are those of a table laid anew."""
     device, finder = batch.device, SlotFinder(batch.device, least=32)

@@ -270,6 +270,23 @@ def test_who_is_posed_ahead_is_seen_the_same(episodes, bank, preset) -> None:
     assert posed[0].ahead == 0 < posed[1].ahead and 2 * lacked[1] < lacked[0]
 
 
+def test_people_go_where_they_were_foreseen(episodes, bank, preset) -> None:
+    """Among agents who turn; that somebody looks ahead changes nothing."""
+    env = open_device_env(episodes, bank, preset, sensors=("goal_vector",))
+    env.reset(seed=0, options={"episode": [e.id for e in episodes]})
+    company = env.simulator.company
+    for _ in range(6):
+        before = [company.read_state(name) for name in ("real", "whole")]
+        company.look_ahead()
+        for old, name in zip(before, ("real", "whole"), strict=True):
+            np.testing.assert_array_equal(company.read_state(name), old)
+        foreseen = [company._later[1][name].numpy() for name in ("real", "whole")]
+        env.step(np.full(3, 2))
+        for ahead, name in zip(foreseen, ("real", "whole"), strict=True):
+            np.testing.assert_array_equal(ahead.transpose(2, 1, 0), company.read_state(name))
+    assert (before[0] != company.read_state("real")).any(), "somebody walks"
+
+
 def test_a_step_is_made_though_nobody_can_be_posed_ahead(
     episodes, bank, preset, monkeypatch
 ) -> None:

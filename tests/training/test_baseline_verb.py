@@ -82,7 +82,7 @@ def test_a_stopped_run_ends_in_the_same_policy(suite, tmp_path, emulation, capsy
     assert train(suite, whole) == 0
     assert "done before, at step 4" in capsys.readouterr().out
     assert train(suite, whole, "--model", "seq2seq") == 2
-    assert "another run: settings was" in capsys.readouterr().err
+    assert "another run: settings.graph was 'cma', is 'seq2seq'" in capsys.readouterr().err
     assert main(
         ["bench", "run", str(suite), "--policy", "cma", "--policy-option",
          f"checkpoint={whole / 'policy'}", "--episodes", "1", "--no-report",

@@ -299,18 +299,21 @@ class PosedBankDevice:
     def answer(self, poses: CodedPoses) -> int:
         """End what `ask` began; see `find`. After `expect` nobody makes room for those that lack.
 
+        What failed may be tried again; what was done is not done twice.
+
         Raises:
             RenderError, DeviceMemoryError: see `fetch`.
         """
-        assert self._asking is not None
+        if self._asking is None:
+            return 0
         codes, chosen, looked = self._asking
-        self._asking = None
         lacking = looked.numpy()
-        self.misses += len(lacking)
-        self.hits += len(codes) - len(lacking)
         if len(lacking):
             self._fill(lacking, poses, hurried=self._expected is not None)
             self._look(codes, chosen, self._call)
+        self._asking = None
+        self.misses += len(lacking)
+        self.hits += len(codes) - len(lacking)
         return len(lacking)
 
     def expect(self, codes: DeviceArray) -> None:

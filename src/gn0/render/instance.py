@@ -6,7 +6,7 @@ sees the part as the eye at `view` sees it at `pose`, spherical harmonics includ
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -116,6 +116,8 @@ class PartsDevice:
             many each view has, those of one view after those of another.
         gains: float32 [I, 4, 3] as in `Instance`, or None.
         nearer: float32 [I] as in `Instance`, or None.
+        settle: called when all that needs no instance was handed to the device, perhaps again: only
+            then are `chosen`, and the clouds in those slots, what they are to be.
     """
 
     names: Sequence[str] | None
@@ -124,6 +126,7 @@ class PartsDevice:
     firsts: DeviceArray | int
     gains: DeviceArray | None = None
     nearer: DeviceArray | None = None
+    settle: Callable[[], object] | None = None
 
 
 Parts = Sequence[Instance] | Sequence[Sequence[Instance]]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -162,7 +163,7 @@ class PeopleEyesDevice:
             row["lasts"] = clip.seconds
 
     def show(self, simulator: SimulatorDevice) -> PartsDevice:
-        """Who stands before each agent now; waits for the device to say whether all were posed."""
+        """Who stands before each agent now; whoever draws it waits for all of them to be posed."""
         company, device = simulator.company, simulator.device
         each = company.places
         count = simulator.count * each
@@ -181,8 +182,8 @@ class PeopleEyesDevice:
             self._next = self._next or _new_looks(device, count)
             self._find(simulator, company.look_ahead(), self._next)
             self.posed.expect(self._next[0])
-        self.posed.answer(self.codes)
-        return PartsDevice(None, poses, chosen, each, gains, nearer)
+        settle = partial(self.posed.answer, self.codes)
+        return PartsDevice(None, poses, chosen, each, gains, nearer, settle)
 
     def pose_ahead(self) -> None:
         """Pose who will be seen next; the device draws what is seen now meanwhile.

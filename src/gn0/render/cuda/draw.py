@@ -30,6 +30,7 @@ from gn0.render.cuda.pictures import lay_pictures
 from gn0.render.cuda.records import (
     CountEntries,
     EmitEntries,
+    ListingTables,
     MarkTarget,
     PaintTarget,
     PartTables,
@@ -184,6 +185,10 @@ class Drawer:
         work: Work
         if instances is not None and not len(instances):
             instances = None
+        if instances is not None and (
+            pictures.semantic is not None or pictures.instance is not None
+        ):
+            instances = instances.settled()  # labels are brought of all who stand there
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
             placed = None if instances is None else instances.place(self.device)
@@ -404,16 +409,21 @@ class Drawer:
         """Launch all kernels of a batch."""
         kernels, whole = self._kernels_for(work), np.uint32(lists.all_tiles)
         zeros = lists.all_tiles + _CLASSES
-        checked, label = 0, None
+        checked, label, begun = 0, None, False
         if blend.labels is not None:
             label = self._labels.arrange(work, lists, self.tuning, blend.labels)
         if isinstance(work, WorkDevice):
             checked = lists.count + (0 if work.instances is None else len(work.instances))
             self._write_views(work, lists, zeros, header)
+            if work.instances is not None:
+                begun = work.instances.settle is not None and lists.room > 0
+                if begun:  # the device has something to do while we wait for who stands where
+                    self._emit(lists.of_scenes, lists, kernels)
+                lists = self._settle(work, lists)
+                self._write_parts(work, lists, work.instances)
         else:
             self.device.fill(lists.counts[:zeros], 0)
         starts = None if lists.room else lists.starts
-        needed = None if lists.room else lists.starts[lists.all_tiles :]
         stride, scan_blocks = np.uint32(lists.stride), lists.scan_blocks
         counts, sums = lists.counts, lists.sums
         if not lists.room:
@@ -426,11 +436,7 @@ class Drawer:
                 kernels["sum_counts"].launch(scan_blocks, 256, adding)
             placing = PlaceLists(counts, whole, stride, sums, lists.starts)
             kernels["place_lists"].launch(scan_blocks, 256, placing)
-        self._tell("emit")
-        capacity, room = np.uint64(lists.capacity), np.uint32(lists.room)
-        for kind, blocks, tables in lists.listings:
-            emitting = EmitEntries(tables, needed, lists.entries, capacity, room)
-            kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
+        self._emit(lists.of_parts if begun else lists.listings, lists, kernels)
         self._tell("scan")
         if scan_blocks > 1:
             adding = SumCounts(counts, whole, np.uint32(0), starts, sums, lists.classes)
@@ -444,6 +450,30 @@ class Drawer:
             kernels[kernel].launch(lists.blocks, self.tuning.threads, record)
         if label is not None:
             label()
+
+    def _emit(
+        self,
+        listings: Sequence[tuple[str, int, ListingTables]],
+        lists: Lists,
+        kernels: Mapping[str, Kernel],
+    ) -> None:
+        """Write entries of some of the `listings`."""
+        self._tell("emit")
+        needed = None if lists.room else lists.starts[lists.all_tiles :]
+        capacity, room = np.uint64(lists.capacity), np.uint32(lists.room)
+        for kind, blocks, tables in listings:
+            emitting = EmitEntries(tables, needed, lists.entries, capacity, room)
+            kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
+
+    def _settle(self, work: WorkDevice, lists: Lists) -> Lists:
+        """Have it be known who stands where, and the lists' tables have room for it."""
+        if work.instances is None or work.instances.settle is None:
+            return lists
+        work.settle()
+        sizes, (clouds, groups, members), count, _ = self._tables(work, lists.views_of, own=False)
+        return replace(
+            lists, sizes=sizes, clouds=clouds, groups=groups, members=members, group_count=count
+        )
 
     def _tables(
         self, work: Work, views: slice, own: bool
@@ -510,20 +540,21 @@ class Drawer:
         views = lists.to_write_views(work, zeros, _NOTHING_SENT if header is None else header.sent)
         blocks = max(-(-count // 128), -(-zeros // 1024))
         self._kernels["write_views"].launch(blocks, 128, views)
-        every = count
-        if work.instances is not None:
-            self._write_parts(work, lists, work.instances)
-            every += len(work.instances)
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
-            groups = lists.to_group_views(every, known, shown)
+            groups = lists.to_group_scenes(work.base, shown)
             self._kernels["group_views"].launch(1, _GROUPERS, groups)
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
-        """Let the device write the views of instances behind the others."""
-        parts = lists.to_write_parts(work, instances, self._normals(instances))
+        """Let the device write the views of instances behind the others, and their groups."""
+        parts, known = (
+            lists.to_write_parts(work, instances, self._normals(instances)),
+            len(work.table),
+        )
         blocks = -(-max(len(instances), lists.count) // 128)
         self._kernels_for(work)["write_parts"].launch(blocks, 128, parts)
+        groups = lists.to_group_parts(len(instances), known, self._need("shown", known, np.uint32))
+        self._kernels["group_views"].launch(1, _GROUPERS, groups)
 
     def record(
         self,

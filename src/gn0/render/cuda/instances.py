@@ -7,7 +7,7 @@ views on the device, with the same operations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -55,6 +55,7 @@ class Instances:
         gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
         nearer: float32 [I] by which each is sorted as if nearer [m]; None: 0.
         table: whose slots `chosen` numbers, if it does.
+        settle: as of `PartsDevice`.
     """
 
     clouds: Sequence[CloudDevice | None]
@@ -64,9 +65,22 @@ class Instances:
     gains: F32 | DeviceArray | None = None
     nearer: F32 | DeviceArray | None = None
     table: PartTable | None = None
+    settle: Callable[[], object] | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    def settled(self) -> Instances:
+        """The same with `chosen`, and the table on the device, as they are to be drawn.
+
+        Raises:
+            RenderError, DeviceMemoryError: whoever settles them could not.
+        """
+        if self.settle is not None:
+            self.settle()
+        if self.table is not None:
+            self.table.flush()
+        return replace(self, settle=None)
 
     def place(self, device: Device) -> Instances:
         """The same with all arrays on the device."""
@@ -90,6 +104,8 @@ class Instances:
         Raises:
             RenderError: an instance is not finite, not rigid, or of no cloud, or offsets are none.
         """
+        if self.settle is not None:
+            return self.settled().fetch(views)
 
         def here(array: NDArray[Any] | DeviceArray) -> NDArray[Any]:
             return array.numpy() if isinstance(array, DeviceArray) else array

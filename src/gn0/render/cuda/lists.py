@@ -147,6 +147,16 @@ class Lists:
         both = [("entries", self.sizes.blocks - many, scenes), ("parts", many, instances)]
         return [one for one in both if one[1]]
 
+    @property
+    def of_scenes(self) -> list[tuple[str, int, ListingTables]]:
+        """Those of `listings` that no instance has a share in."""
+        return [one for one in self.listings if one[0] == "entries"]
+
+    @property
+    def of_parts(self) -> list[tuple[str, int, ListingTables]]:
+        """The others."""
+        return [one for one in self.listings if one[0] == "parts"]
+
     def holds(self, needed: int, longest: int) -> bool:
         """Whether lists that need room for so many entries, the longest for so many, had it."""
         return longest <= self.room if self.room else needed <= self.capacity
@@ -184,16 +194,26 @@ class Lists:
             header=header,
         )
 
-    def to_group_views(self, count: int, known: int, shown: DeviceArray) -> GroupViews:
-        """What `group_views` is given of so many views, those of instances too, and clouds."""
+    def to_group_scenes(self, known: int, shown: DeviceArray) -> GroupViews:
+        """What `group_views` is given of views and the clouds that scenes are, so many."""
+        return self._to_group((0, self.count), (0, known), self.sizes.each, shown)
+
+    def to_group_parts(self, count: int, known: int, shown: DeviceArray) -> GroupViews:
+        """The same of the views of so many instances, which are of all clouds but the first."""
+        first, each = self.sizes.first_part, self.sizes.each_of_parts
+        return self._to_group((self.count, self.count + count), (first, known), each, shown)
+
+    def _to_group(
+        self, views: tuple[int, int], clouds: tuple[int, int], each: int, shown: DeviceArray
+    ) -> GroupViews:
         return GroupViews(
             views=self.views,
             clouds=self.clouds,
-            count_=np.uint32(count),
-            cloud_count=np.uint32(known),
-            each=np.uint32(self.sizes.each),
-            first_part=np.uint32(self.sizes.first_part),
-            each_of_parts=np.uint32(self.sizes.each_of_parts),
+            first=np.uint32(views[0]),
+            count_=np.uint32(views[1]),
+            begin=np.uint32(clouds[0]),
+            end=np.uint32(clouds[1]),
+            each=np.uint32(each),
             counts=shown,
             groups=self.groups,
             members=self.members,

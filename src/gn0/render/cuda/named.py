@@ -171,6 +171,7 @@ class NamedClouds:
             found = Instances(
                 *(clouds, parts.poses, parts.chosen, parts.firsts, parts.gains, parts.nearer),
                 table=self.table if parts.names is None else None,
+                settle=parts.settle,
             )
             found.check(views)
             return found if len(found) else None

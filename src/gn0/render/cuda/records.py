@@ -111,11 +111,11 @@ class GroupViews(NamedTuple):
 
     views: DeviceArray
     clouds: DeviceArray
+    first: np.uint32
     count_: np.uint32
-    cloud_count: np.uint32
+    begin: np.uint32
+    end: np.uint32
     each: np.uint32
-    first_part: np.uint32
-    each_of_parts: np.uint32
     counts: DeviceArray
     groups: DeviceArray
     members: DeviceArray

@@ -78,6 +78,15 @@ class Work:
 class WorkDevice(Work):
     """Views whose poses, and which of `clouds` they show, are on the device alone."""
 
+    def settle(self) -> None:
+        """Have it be known which clouds of instances are where; the table may have grown."""
+        assert self.instances is not None
+        self.instances = self.instances.settled()
+        if self.part_table is not None:
+            room = np.zeros(len(self.part_table), CLOUD)
+            self.table = np.concatenate([self.table[: self.base], room])
+            self.chunks = np.concatenate([self.chunks[: self.base], self.part_table.chunks])
+
     def __init__(
         self,
         camera: Camera,

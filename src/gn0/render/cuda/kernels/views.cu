@@ -68,24 +68,23 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
 
 #define GROUPERS 1024  // threads that group views
 
-// Groups [cloud_count] of the views that show each cloud, and their members; one block. A group may
-// be empty; from `first_part` on they are of instances. In what order a group lists its members is the
-// atomics' business, and cannot show.
+// Groups of the views from `first` to `count` that show each cloud from `begin` to `end`, as they all
+// do, and their members, in the places of these views; one block. A group may be empty. In what order
+// it lists its members is the atomics' business, and cannot show.
 KERNEL_BOUNDED(group_views, GROUPERS, 1)
-(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
- u32 cloud_count, u32 each, u32 first_part, u32 each_of_parts, u32 *counts, Group *groups,
- u32 *members) {
+(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 first, u32 count, u32 begin,
+ u32 end, u32 each, u32 *counts, Group *groups, u32 *members) {
   __shared__ u64 held[GROUPERS / WARP];
-  for (u32 c = threadIdx.x; c < cloud_count; c += GROUPERS) counts[c] = 0;
+  for (u32 c = begin + threadIdx.x; c < end; c += GROUPERS) counts[c] = 0;
   __syncthreads();
-  for (u32 v = threadIdx.x; v < count; v += GROUPERS)
+  for (u32 v = first + threadIdx.x; v < count; v += GROUPERS)
     if (views[v].cloud != NOWHERE) atomicAdd(counts + views[v].cloud, 1u);
   __syncthreads();
-  u64 done = 0;  // of the clouds before: members over blocks
-  for (u32 base = 0; base < cloud_count; base += GROUPERS) {
+  u64 done = (u64)first << 32;  // of the clouds before: members over blocks
+  for (u32 base = begin; base < end; base += GROUPERS) {
     u32 c = base + threadIdx.x;
-    u32 mine = c < cloud_count ? counts[c] : 0, chunks = c < cloud_count ? clouds[c].chunks : 0;
-    u32 most = c < first_part ? each : each_of_parts, rows = (chunks + most - 1) / most;
+    u32 mine = c < end ? counts[c] : 0, chunks = c < end ? clouds[c].chunks : 0;
+    u32 rows = (chunks + each - 1) / each;
     u64 both = (u64)mine << 32 | (u64)rows * ((mine + VIEWS - 1) / VIEWS), sum = both;
     for (u32 d = 1; d < WARP; d <<= 1) {
       u64 other = __shfl_up_sync(FULL, sum, d);
@@ -98,13 +97,13 @@ KERNEL_BOUNDED(group_views, GROUPERS, 1)
       if (w < threadIdx.x / WARP) before += held[w];
       done += held[w];
     }
-    if (c < cloud_count) {
+    if (c < end) {
       Group g = {c, 0, (u32)before, max(chunks, 1u), (u32)(before >> 32), mine, {0, 0}};
       groups[c] = g;
       counts[c] = (u32)(before >> 32);  // from here on: where its next member goes
     }
     __syncthreads();
   }
-  for (u32 v = threadIdx.x; v < count; v += GROUPERS)
+  for (u32 v = first + threadIdx.x; v < count; v += GROUPERS)
     if (views[v].cloud != NOWHERE) members[atomicAdd(counts + views[v].cloud, 1u)] = v;
 }

@@ -14,9 +14,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
-from gn0.avatars.avatar import Avatar
+from gn0.avatars.avatar import SHADOWS, Avatar
 from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
 from gn0.avatars.detail import GRAIN, SHARES, build_levels
 from gn0.avatars.held import BOX_SPACING, HELD, hold_thing
@@ -30,12 +29,14 @@ from gn0.avatars.skinning import pose_joints
 from gn0.errors import EpisodeError, Gn0Error
 from gn0.geometry import F64
 from gn0.people.identities import find_identity
+from gn0.people.outline import Outline, find_outline, join_outlines
 from gn0.people.person import EpisodePerson, drawn_identity
 from gn0.storage import cache_dir, content_hash
 from gn0.version import source_version
 
 _KEPT = 48  # actors in memory, about 6 MB each
 _POSTURES = 64  # of an actor, 8 kB each
+_MOMENTS = 16  # of a clip, for how far it reaches
 _DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
 
 
@@ -55,7 +56,8 @@ class Actor:
     _libraries: dict[float, ClipLibrary] = field(default_factory=dict)
     _seats: dict[float, float] = field(default_factory=dict)
     _holding: dict[tuple[str, int], Avatar] = field(default_factory=dict)
-    _reach: tuple[float, float] | None = None
+    _outlines: dict[tuple[str, float], Outline] = field(default_factory=dict)
+    _coarser: tuple[float, ...] = ()
     _postures: OrderedDict[Hashable, Posture] = field(default_factory=OrderedDict)
 
     def level(self, number: int, clip: str = "") -> Avatar:
@@ -93,21 +95,30 @@ class Actor:
             self._libraries[seat] = ClipLibrary(build, int(self.digest[:8], 16), seat)
         return self._libraries[seat]
 
-    @property
-    def reach(self) -> tuple[float, float]:
-        """How far from its place anything of who stands idle is seen [m], in the first frame.
+    def outline(self, clip: str, speed: float = 1.0) -> Outline:
+        """How far from its place anything of it is seen in a clip, at the finest level.
 
-        As it is from near, and at its coarsest.
+        A walk is looked at at 16 phases, all else at as many moments.
         """
-        if self._reach is None:
-            posture = self.levels[0].place_joints(*self.library(SEAT).pose_at(IDLES[0], 0.0))
-            clouds = (level.pose_as(posture) for level in (self.levels[0], self.levels[-1]))
-            near, far = (
-                float((np.hypot(*one.means[:, :2].T) + 3.0 * one.scales.max(axis=1)).max())
-                for one in clouds
+        if (clip, speed) not in self._outlines:
+            library, best = self.library(SEAT), self.levels[0]
+            rows = len(library.clip(clip, speed).plan)
+            poses, shifts = library.table(clip, speed)
+            looked_at = sorted({rows * k // _MOMENTS for k in range(_MOMENTS)})
+            self._outlines[clip, speed] = join_outlines(
+                find_outline(best.pose_as(best.place_joints(poses[row], shifts[row])), SHADOWS)
+                for row in looked_at
             )
-            self._reach = near, far
-        return self._reach
+        return self._outlines[clip, speed]
+
+    @property
+    def coarser(self) -> tuple[float, ...]:
+        """How much farther from its place it is seen at each level [m]; 0 if it is not."""
+        if not self._coarser:
+            posture = self.levels[0].place_joints(*self.library(SEAT).pose_at(IDLES[0], 0.0))
+            each = [find_outline(level.pose_as(posture), SHADOWS) for level in self.levels]
+            self._coarser = tuple(one.beyond(each[0]) for one in each)
+        return self._coarser
 
     def behind(self, seat: float) -> float:
         """How far behind its feet the pelvis of who sits is [m]."""

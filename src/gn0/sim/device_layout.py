@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gn0.device.device import DeviceArray, KernelSource
+from gn0.people.outline import DIRECTIONS
 from gn0.people.person import PEOPLE_MOST
 from gn0.people.reach import MODE, REALS, WHOLES
 from gn0.sim.ego_map import QUARTER, SAMPLES, SERIES, TINT
@@ -93,12 +94,15 @@ CROWD = np.dtype(
     align=True,
 )  # fmt: skip
 
+LEVELS_MOST = 8  # of detail
 # what a person brings to its looks; see `shown.cu`
 ROLE = np.dtype(
     [
         *((name, np.float64) for name in (
-            "stride", "forward", "lasts", "still", "reach", "coarser",
+            "stride", "forward", "lasts", "still", "reach", "shadow",
         )),
+        *((name, np.float64, DIRECTIONS) for name in ("stands", "walks")),
+        ("coarser", np.float64, LEVELS_MOST),
         *((name, np.int32) for name in (
             "number", "offset", "gait", "idle", "idle_rows", "clip", "clip_rows", "clip_loops",
             "clip_rowed", "unused",
@@ -164,6 +168,8 @@ PEOPLE = KernelSource(
         ("CROWD_BYTES", CROWD.itemsize),
         ("FOLLOWING_BYTES", FOLLOWING.itemsize),
         ("ROLE_BYTES", ROLE.itemsize),
+        ("LEVELS_MOST", LEVELS_MOST),
+        ("OUTLINE", DIRECTIONS),
         ("PEOPLE_MOST", PEOPLE_MOST),
         ("CROWD_THREADS", CROWD_THREADS),
         ("REALS", REALS),

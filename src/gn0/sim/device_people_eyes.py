@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import GRAIN, REACH_PX
 from gn0.avatars.light import LightProbes, find_probes
+from gn0.avatars.motion.gait import SPEEDS
 from gn0.avatars.motion.library import LOOPS, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 # m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
 _SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
+_SLACK = 0.05  # between the moments at which clips were looked at, and what a head turns
 _HIGH = 1.5  # m above or below an eye that a person may be
 _POSTURES = 2**29  # bytes of the host at most, for their postures
 _OFFSETS = 97  # by how many ticks people's clips are apart
@@ -62,6 +64,7 @@ class PeopleEyesDevice:
         widest: tangent of the angle from the middle of a picture to its left or right edge, of
             the widest; who is beside all pictures is not posed.
         pitch: how far cameras look up or down [rad].
+        ground: depth from which on they see the floor [m].
         budget: bytes of posed clouds.
 
     Attributes:
@@ -83,6 +86,7 @@ class PeopleEyesDevice:
         *,
         widest: float = math.inf,
         pitch: float = 0.0,
+        ground: float = 0.0,
         budget: int = BUDGET,
     ) -> None:
         if not isinstance(renderer, HoldsParts) or not renderer.traits.device_views:  # type: ignore[attr-defined]
@@ -99,6 +103,7 @@ class PeopleEyesDevice:
         ]
         # depths before a camera that looks up or down grow with the height of what it sees
         self._sides = widest, _HIGH * math.tan(abs(pitch))
+        self._ground = ground
         self.ahead = renderer.device.kind == "cuda"
         self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
         self._shown: tuple[DeviceArray, ...] | None = None
@@ -144,8 +149,11 @@ class PeopleEyesDevice:
         row["offset"], row["gait"] = seed % _OFFSETS, speed_class(person.speed)
         idle = IDLES[seed % len(IDLES)]
         row["idle"], row["idle_rows"] = self.codes.clip(idle), len(library.clip(idle).plan)
-        reach, coarse = actor.reach
-        row["still"], row["coarser"] = reach + _SWAYS, max(coarse - reach, 0.0)
+        stands, walks = actor.outline(idle), actor.outline("walk", SPEEDS[row["gait"]])
+        row["coarser"][: len(actor.coarser)] = actor.coarser
+        row["shadow"] = max(stands.shadow, walks.shadow) + _SLACK
+        row["stands"], row["walks"] = (each.body + _SLACK for each in (stands, walks))
+        reach, row["still"] = stands.radius, stands.radius + _SWAYS
         if person.behaviour == "script":
             row["stride"] = library.clip("walk", person.speed).stride
             row["reach"] = reach + _STRIDES
@@ -210,6 +218,7 @@ class PeopleEyesDevice:
             turns=turned,
             across=np.float64(self._sides[0]),
             deeper=np.float64(self._sides[1]),
+            ground=np.float64(self._ground),
             codes=codes,
             poses=poses,
             gains=gains,

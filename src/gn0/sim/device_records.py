@@ -143,6 +143,7 @@ class ShowPeople(NamedTuple):
     turns: DeviceArray
     across: np.float64
     deeper: np.float64
+    ground: np.float64
     codes: DeviceArray
     poses: DeviceArray
     gains: DeviceArray

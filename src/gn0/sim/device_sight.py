@@ -86,11 +86,13 @@ def open_eyes(
         from gn0.sim.device_people_eyes import PeopleEyesDevice
 
         preset = config.preset
+        cameras, pitch = (preset.rgb, preset.depth), math.radians(preset.pitch_degrees)
         people = PeopleEyesDevice(
             *(tasks.scenes, chosen, preset.rgb.fx, bank),
             budget=BUDGET if people_memory is None else people_memory,
-            widest=max(_half_width(camera) for camera in (preset.rgb, preset.depth)),
-            pitch=math.radians(preset.pitch_degrees),
+            widest=max(_half_width(camera) for camera in cameras),
+            pitch=pitch,
+            ground=min(_floor_from(camera, tasks.agent.camera_height, pitch) for camera in cameras),
         )
     return EyesDevice(
         config, tasks.scenes, tasks.agent, chosen, map_shape, visible_sets, motion, people
@@ -102,6 +104,20 @@ def _half_width(camera: Camera) -> float:
     if camera.model != "pinhole":
         return math.inf
     return (max(camera.cx, camera.width - camera.cx) + _BLUR) / camera.fx
+
+
+def _floor_from(camera: Camera, height: float, pitch: float) -> float:
+    """Depth from which on a picture shows the floor [m], by an eye so high, or a little less.
+
+    Args:
+        camera: of the picture.
+        height: of the eye [m].
+        pitch: how far it looks up or down [rad].
+    """
+    if camera.model != "pinhole":
+        return 0.0
+    down = math.atan2(max(camera.cy, camera.height - camera.cy) + _BLUR, camera.fy) + abs(pitch)
+    return height / math.tan(down) if down < math.pi / 2 else 0.0
 
 
 def admit_people(

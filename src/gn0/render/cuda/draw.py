@@ -28,9 +28,6 @@ from gn0.render.cuda.labels import LabelDrawer
 from gn0.render.cuda.lists import Blend, Lists
 from gn0.render.cuda.pictures import lay_pictures
 from gn0.render.cuda.records import (
-    CountEntries,
-    EmitEntries,
-    ListingTables,
     MarkTarget,
     PaintTarget,
     PartTables,
@@ -49,7 +46,6 @@ from gn0.render.cuda.replay import (
 )
 from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import (
-    CHUNK,
     GROUP,
     TARGET,
     VIEW,
@@ -418,7 +414,8 @@ class Drawer:
             if work.instances is not None:
                 begun = work.instances.settle is not None and lists.room > 0
                 if begun:  # the device has something to do while we wait for who stands where
-                    self._emit(lists.of_scenes, lists, kernels)
+                    self._tell("emit")
+                    lists.emit(kernels, ("entries",))
                 lists = self._settle(work, lists)
                 self._write_parts(work, lists, work.instances)
         else:
@@ -428,15 +425,15 @@ class Drawer:
         counts, sums = lists.counts, lists.sums
         if not lists.room:
             self._tell("count")
-            for kind, blocks, tables in lists.listings:
-                kernels[f"count_{kind}"].launch(blocks, CHUNK, CountEntries(tables, stride))
+            lists.count_all(kernels)
             self._tell("scan")
             if scan_blocks > 1:
                 adding = SumCounts(counts, whole, stride, starts=None, sums=sums, classes=None)
                 kernels["sum_counts"].launch(scan_blocks, 256, adding)
             placing = PlaceLists(counts, whole, stride, sums, lists.starts)
             kernels["place_lists"].launch(scan_blocks, 256, placing)
-        self._emit(lists.of_parts if begun else lists.listings, lists, kernels)
+        self._tell("emit")
+        lists.emit(kernels, ("parts",) if begun else ("entries", "parts"))
         self._tell("scan")
         if scan_blocks > 1:
             adding = SumCounts(counts, whole, np.uint32(0), starts, sums, lists.classes)
@@ -450,20 +447,6 @@ class Drawer:
             kernels[kernel].launch(lists.blocks, self.tuning.threads, record)
         if label is not None:
             label()
-
-    def _emit(
-        self,
-        listings: Sequence[tuple[str, int, ListingTables]],
-        lists: Lists,
-        kernels: Mapping[str, Kernel],
-    ) -> None:
-        """Write entries of some of the `listings`."""
-        self._tell("emit")
-        needed = None if lists.room else lists.starts[lists.all_tiles :]
-        capacity, room = np.uint64(lists.capacity), np.uint32(lists.room)
-        for kind, blocks, tables in listings:
-            emitting = EmitEntries(tables, needed, lists.entries, capacity, room)
-            kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
 
     def _settle(self, work: WorkDevice, lists: Lists) -> Lists:
         """Have it be known who stands where, and the lists' tables have room for it."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from gn0.device.device import DeviceArray
+from gn0.device.device import DeviceArray, Kernel
 from gn0.render.cuda.instances import Instances
 from gn0.render.cuda.records import (
+    CountEntries,
+    EmitEntries,
     GroupViews,
     ListingTables,
     MarkTarget,
@@ -24,7 +27,7 @@ from gn0.render.cuda.records import (
     WriteParts,
     WriteViews,
 )
-from gn0.render.cuda.tables import GROUP, ShareSizes
+from gn0.render.cuda.tables import CHUNK, GROUP, ShareSizes
 from gn0.render.cuda.work import WorkDevice
 from gn0.render.renderer import VIEW_TOLERANCE
 
@@ -147,15 +150,20 @@ class Lists:
         both = [("entries", self.sizes.blocks - many, scenes), ("parts", many, instances)]
         return [one for one in both if one[1]]
 
-    @property
-    def of_scenes(self) -> list[tuple[str, int, ListingTables]]:
-        """Those of `listings` that no instance has a share in."""
-        return [one for one in self.listings if one[0] == "entries"]
+    def count_all(self, kernels: Mapping[str, Kernel]) -> None:
+        """Count the entries of all lists, or of some splats."""
+        for kind, blocks, tables in self.listings:
+            counting = CountEntries(tables, np.uint32(self.stride))
+            kernels[f"count_{kind}"].launch(blocks, CHUNK, counting)
 
-    @property
-    def of_parts(self) -> list[tuple[str, int, ListingTables]]:
-        """The others."""
-        return [one for one in self.listings if one[0] == "parts"]
+    def emit(self, kernels: Mapping[str, Kernel], kinds: Collection[str]) -> None:
+        """Write the entries of some kinds of `listings`."""
+        needed = None if self.room else self.starts[self.all_tiles :]
+        capacity, room = np.uint64(self.capacity), np.uint32(self.room)
+        for kind, blocks, tables in self.listings:
+            if kind in kinds:
+                emitting = EmitEntries(tables, needed, self.entries, capacity, room)
+                kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
 
     def holds(self, needed: int, longest: int) -> bool:
         """Whether lists that need room for so many entries, the longest for so many, had it."""

@@ -7,9 +7,11 @@ struct Role {
   double stride;   // m, of its walk
   double forward;  // m, of who sits
   double lasts;    // s, of its gesture; 0 without
-  double still;    // m, how far from its place it is seen while it idles or turns
+  double still;    // m, how far from its place its body is seen while it idles or turns
   double reach;    // m, in all other clips
-  double coarser;  // m, how much farther at the coarser levels of detail
+  double shadow;   // m, how far its shadow on the floor is seen
+  double stands[OUTLINE], walks[OUTLINE];  // m, how far its body reaches that idles, or walks
+  double coarser[LEVELS_MOST];  // m, how much farther at each level of detail
   int number;      // of who it is
   int offset;      // ticks by which its time is ahead
   int gait;        // class of the walk
@@ -38,6 +40,7 @@ static_assert(sizeof(Role) == ROLE_BYTES, "device_layout.ROLE differs from Role"
 #define PIVOT 0.7853981633974483  // rad, 45 degrees
 #define PIVOT_ROWS 60
 #define SETTLE_ROWS 8
+#define FLAT_SIDE 1e6  // slope of a side that is none
 #define PROBE_CELL 0.5  // m, of the grid of probes
 
 __device__ __forceinline__ int frame_at(double seconds) {
@@ -122,11 +125,21 @@ __device__ void find_gain(const Episode &e, double x, double y, float *gain) {
   }
 }
 
+// How far a body reaches in a direction (x, y) of length 1, of what it does in OUTLINE of them.
+__device__ __forceinline__ double reach_to(const double *body, double x, double y) {
+  double at = atan2(y, x) * (OUTLINE / (2.0 * 3.141592653589793));
+  double part = at - floor(at);
+  int k = ((int)floor(at) + OUTLINE) % OUTLINE;
+  // the corner of two lines across these directions is a little farther than a mean of both
+  return 1.03 * ((1.0 - part) * body[k] + part * body[(k + 1) % OUTLINE]);
+}
+
 // Codes [N, places] of what is seen, 0 for nobody; poses [N, places, 4, 4] m; gains [N, places, 4, 3].
-// `from` [levels] are the distances [m] from which each level of detail is taken, `turns`
+// The floor is seen at depths from `ground` [m] on. `from` [levels] are the distances [m] from which each level of detail is taken, `turns`
 // [PIVOT_ROWS + 1, 2] cosine and sine of the angle turned in each row of a pivot.
 KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const double *turns,
-                    double across, double deeper, u64 *codes, double *poses, float *gains) {
+                    double across, double deeper, double ground, u64 *codes, double *poses,
+                    float *gains) {
   i64 k = (i64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k >= (i64)w.count * c.places) return;
   int i = (int)(k / c.places), p = (int)(k % c.places);
@@ -226,17 +239,26 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     at_x = at_x + gone * (ax - sx / step);
     at_y = at_y + gone * (ay - sy / step);
   }
-  // how far outside of the wedge that the widest picture shows, whose tip is `deeper` behind the eye
-  bool steps = clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2;
-  bool rests = other == CLIP_NONE && (steps || clip == role.idle);
-  double far = (rests ? role.still : role.reach) + (level ? role.coarser : 0.0);
+  // nobody who is outside of the wedge that the widest picture shows, whose tip is `deeper` behind the
+  // eye, nor has a shadow in it where the floor is seen
   double ox = at_x + ax * forward - eye.x, oy = at_y + ay * forward - eye.y;
-  double side = fabs(oy * ahead[1] - ox * ahead[2]);
-  double before = ox * ahead[1] + oy * ahead[2] + deeper, out = side - across * before;
-  if (side * across + before < 0.0) {
-    if (side * side + before * before > far * far) return;
-  } else if (out > 0.0 && out * out > far * far * (1.0 + across * across)) {
-    return;
+  double before = ox * ahead[1] + oy * ahead[2] + deeper, left = oy * ahead[1] - ox * ahead[2];
+  if (across < FLAT_SIDE) {
+    bool steps = clip >= CLIP_PIVOT && clip < CLIP_SETTLE + 2, whole = other == CLIP_NONE;
+    bool idles = whole && clip == role.idle, rests = whole && (steps || idles);
+    bool known = whole ? idles || clip == CLIP_WALK : r.behaviour == SCRIPT;  // by its outline
+    const double *body = idles ? role.stands : role.walks;
+    double uf = hx * ahead[1] + hy * ahead[2], ul = hy * ahead[1] - hx * ahead[2];
+    double slope = sqrt(1.0 + across * across), least = whole ? 0.0 : role.still;
+    bool out = false, dark = false;
+    for (int k = -1; k <= 1; k++) {  // inwards from the left side, the tip, the right side
+      double nf = k ? across / slope : 1.0, nl = k / slope, inside = nf * before + nl * left;
+      double far = rests ? role.still : role.reach;
+      if (known) far = fmax(reach_to(body, nf * uf + nl * ul, nl * uf - nf * ul), least);
+      out = out || inside + far + role.coarser[level] < 0.0;
+      dark = dark || (k ? inside : before - deeper - ground) + role.shadow < 0.0;
+    }
+    if (out && dark) return;
   }
   u64 code = (u64)role.number;
   code |= (u64)level << 16;

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,14 +20,15 @@ SLACK = 0.05  # m, that eyes on a device add
 SIGMAS = 3.33  # of a splat of full opacity, where it is 1/255
 
 
-@pytest.fixture(scope="module")
-def actor() -> Actor:
+@lru_cache
+def somebody() -> Actor:
     return Actor("somebody", "0" * 64, build_levels(small_person(0, 0.1)))
 
 
 @given(st.sampled_from(["walk", *IDLES]), st.floats(0.0, 1.0), st.integers(0, DIRECTIONS - 1))
-def test_all_of_a_body_is_within_its_outline(actor, clip: str, at: float, turn: int) -> None:
+def test_all_of_a_body_is_within_its_outline(clip: str, at: float, turn: int) -> None:
     """At moments at which nobody looked, at every level of detail."""
+    actor = somebody()
     outline, library = actor.outline(clip, 1.3), actor.library(SEAT)
     poses, shifts = library.table(clip, 1.3)
     row = int(at * (len(library.clip(clip, 1.3).plan) - 1))
@@ -46,7 +49,8 @@ def test_all_of_a_body_is_within_its_outline(actor, clip: str, at: float, turn: 
         assert (away[-SHADOWS:] + 0.99 * dark).max() <= outline.shadow + SLACK
 
 
-def test_who_walks_is_longer_than_wide_and_than_who_stands(actor) -> None:
+def test_who_walks_is_longer_than_wide_and_than_who_stands() -> None:
+    actor = somebody()
     walks, stands = actor.outline("walk", 1.3), actor.outline(IDLES[0])
     ahead, left, behind = walks.body[[0, DIRECTIONS // 4, DIRECTIONS // 2]]
     assert min(ahead, behind) > left and ahead > 1.3 * stands.body[0]

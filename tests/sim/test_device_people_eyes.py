@@ -206,7 +206,7 @@ def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -
 def test_who_is_beside_a_picture_is_not_posed(episodes, bank, preset) -> None:
     """And the pictures are the same bytes as if all before the eye were."""
     wide = open_device_env(episodes, bank, preset)
-    wide._eyes.people._sides = np.inf, np.inf
+    wide._eyes.people.sight = None
     env = open_device_env(episodes, bank, preset)
     posed = []
     for one in (env, wide):

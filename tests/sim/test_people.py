@@ -184,6 +184,31 @@ def test_people_are_seen_where_they_are_now(bank) -> None:
     assert (later[-1].history != bare.history).any()
 
 
+def test_who_is_beside_the_picture_is_not_posed(bank) -> None:
+    """And what is seen, who it is and how much of him are the same bytes as if all were."""
+    names = ("rgb", "depth", "who", "people_seen")
+    people = (
+        walker((3.4, 1.2), (3.4, 2.3), identity=bank.names[0], speed=1.2, bank=bank.content_hash),
+        *(
+            stander(*spot, number=n, identity=bank.names[n % 2])
+            for n, spot in ((1, (0.8, 3.4)), (2, (1.5, 1.4)), (3, (2.7, 1.0)))
+        ),
+    )
+    seen, asked = [], []
+    for all_round in (False, True):
+        eyes = open_simulator(FLAT, EYES, sensors=names, bank=bank, backend="cpu")
+        if all_round:
+            eyes._suite.sight = None
+        shown = [eyes.reset(episode(*people))]
+        turns = (LEFT, LEFT, FORWARD, LEFT, LEFT, LEFT, FORWARD, LEFT, LEFT, LEFT, LEFT, LEFT)
+        shown += [eyes.step(turn).observation for turn in turns]
+        seen.append([[one.read(name).tobytes() for name in names] for one in shown])
+        asked.append(eyes._people.posed.hits + eyes._people.posed.misses)
+    assert seen[0] == seen[1]
+    assert any(np.frombuffer(one[2], np.uint8).any() for one in seen[0]), "somebody is seen"
+    assert asked[0] < 0.6 * asked[1]
+
+
 def test_the_agents_own_map_goes_by_time_where_people_move_and_only_there(bank) -> None:
     simulator = open_simulator(FLAT, EYES, bank=bank, sensors=["occupancy"], map_mode="explored")
     for people, timed in (((), False), ((stander(identity=bank.names[0]),), True)):

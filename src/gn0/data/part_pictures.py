@@ -117,7 +117,7 @@ class Eyes:
             self._people = self._open_people(episode, suite)
         self._people.cast.check(episode.people, f"episode {episode.id!r}")
         focal = suite.config.preset.rgb.fx
-        return StepCrowd(self._people, episode.people, rows.people, focal)
+        return StepCrowd(self._people, episode.people, rows.people, focal, suite.sight)
 
     def witness(self, episode: Episode, rows: EpisodeRows) -> Callable[[int, Pose2D], F32]:
         """What tells how much is seen of each person at a step [P, 6]; see `StepCrowd.tell_who`.

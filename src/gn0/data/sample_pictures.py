@@ -41,6 +41,7 @@ from gn0.sim.simulator import goal_record, goal_view
 from gn0.storage import content_hash
 
 if TYPE_CHECKING:
+    from gn0.people.sight import Sight
     from gn0.sim.people_eyes import PeopleEyes, Wanted
 
 U16 = NDArray[np.uint16]
@@ -160,17 +161,19 @@ class StepCrowd:
         people: who they are.
         steps: what they do.
         focal: of the picture [px].
+        sight: what is seen in it; see `PeopleEyes.want`.
     """
 
     eyes: PeopleEyes
     people: tuple[EpisodePerson, ...]
     steps: StepPeople
     focal: float
+    sight: Sight | None = None
 
     def want(self, poses: Sequence[Pose2D], begin: int) -> list[Wanted]:
         """What is to be seen of them from the poses of the steps from `begin` on."""
         return [
-            self.eyes.want(self.steps.at(begin + k, self.people), pose, self.focal)
+            self.eyes.want(self.steps.at(begin + k, self.people), pose, self.focal, self.sight)
             for k, pose in enumerate(poses)
         ]
 

@@ -174,7 +174,7 @@ class DatasetEyes:
             scene = self.dataset.scene(episode.scene_id)
             self._people = PeopleEyes(scene, suite.renderer, self.dataset.bank, _light_of(episode))
         self._people.cast.check(episode.people, f"episode {episode.id!r}")
-        return StepCrowd(self._people, episode.people, rows.people, preset.rgb.fx)
+        return StepCrowd(self._people, episode.people, rows.people, preset.rgb.fx, suite.sight)
 
     def _suite(self, episode: Episode, preset: CameraPreset) -> SensorSuite:
         light = episode.light

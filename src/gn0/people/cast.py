@@ -19,8 +19,9 @@ from gn0.avatars.avatar import SHADOWS, Avatar
 from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
 from gn0.avatars.detail import GRAIN, SHARES, build_levels
 from gn0.avatars.held import BOX_SPACING, HELD, hold_thing
+from gn0.avatars.motion.gait import SPEEDS
 from gn0.avatars.motion.legs import measure_build
-from gn0.avatars.motion.library import ClipLibrary
+from gn0.avatars.motion.library import ClipLibrary, speed_class
 from gn0.avatars.motion.standing import IDLES, SEAT
 from gn0.avatars.person import build_person
 from gn0.avatars.posture import Posture
@@ -29,8 +30,9 @@ from gn0.avatars.skinning import pose_joints
 from gn0.errors import EpisodeError, Gn0Error
 from gn0.geometry import F64
 from gn0.people.identities import find_identity
-from gn0.people.outline import Outline, find_outline, join_outlines
+from gn0.people.outline import Outline, Reach, find_outline, find_reach, join_outlines
 from gn0.people.person import EpisodePerson, drawn_identity
+from gn0.seeds import derive_seed
 from gn0.storage import cache_dir, content_hash
 from gn0.version import source_version
 
@@ -58,6 +60,7 @@ class Actor:
     _holding: dict[tuple[str, int], Avatar] = field(default_factory=dict)
     _outlines: dict[tuple[str, float], Outline] = field(default_factory=dict)
     _coarser: tuple[float, ...] = ()
+    _reaches: dict[tuple[str, float, bool], Reach] = field(default_factory=dict)
     _postures: OrderedDict[Hashable, Posture] = field(default_factory=OrderedDict)
 
     def level(self, number: int, clip: str = "") -> Avatar:
@@ -119,6 +122,16 @@ class Actor:
             each = [find_outline(level.pose_as(posture), SHADOWS) for level in self.levels]
             self._coarser = tuple(one.beyond(each[0]) for one in each)
         return self._coarser
+
+    def reach_of(self, person: EpisodePerson) -> Reach:
+        """How far from its place it is seen as somebody of an episode."""
+        idle = IDLES[derive_seed(person.seed, "looks") % len(IDLES)]
+        speed, on_script = SPEEDS[speed_class(person.speed)], person.behaviour == "script"
+        key = idle, speed, on_script
+        if key not in self._reaches:
+            stands, walks = self.outline(idle), self.outline("walk", speed)
+            self._reaches[key] = find_reach(stands, walks, self.coarser, idle, on_script=on_script)
+        return self._reaches[key]
 
     def behind(self, seat: float) -> float:
         """How far behind its feet the pelvis of who sits is [m]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,10 @@ from gn0.geometry import F64
 from gn0.render.renderer import ALPHA_MIN
 
 DIRECTIONS = 16
+REACH_MOST = 2.0  # m, that nobody is seen from its place
+# m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
+_SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
+_SLACK = 0.05  # m: between the moments at which clips were looked at, and what a head turns
 _TURNS = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
 
 
@@ -52,3 +57,40 @@ def join_outlines(outlines: Iterable[Outline]) -> Outline:
     """The outline of somebody who is seen in any of several poses, one at least."""
     bodies, radii, shadows = zip(*outlines, strict=True)
     return Outline(np.max(bodies, axis=0), max(radii), max(shadows))
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """How far from its place a person of an episode is seen [m].
+
+    Attributes:
+        stands, walks: while it idles, or walks, in directions as of `Outline`.
+        still: while it idles or turns, in any direction.
+        most: in all else that it does.
+        shadow: its contact shadow.
+        coarser: how much farther it is at each level of detail.
+        idle: the clip that it idles in.
+    """
+
+    stands: F64
+    walks: F64
+    still: float
+    most: float
+    shadow: float
+    coarser: tuple[float, ...]
+    idle: str
+
+
+def find_reach(
+    stands: Outline, walks: Outline, coarser: tuple[float, ...], idle: str, *, on_script: bool
+) -> Reach:
+    """The reach of somebody with such outlines, who walks `on_script`, or stands or sits."""
+    return Reach(
+        stands=stands.body + _SLACK,
+        walks=walks.body + _SLACK,
+        still=stands.radius + _SWAYS,
+        most=stands.radius + (_STRIDES if on_script else _STRETCHES),
+        shadow=max(stands.shadow, walks.shadow) + _SLACK,
+        coarser=coarser,
+        idle=idle,
+    )

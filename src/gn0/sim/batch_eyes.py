@@ -207,7 +207,7 @@ class BatchEyes:
                 company = self._meet(snapshot, k)
                 if company is not None and self._outputs:
                     crowd = self._eyes_for_people(scene).want(
-                        company, Pose2D(*pose.tolist()), self.config.preset.rgb.fx
+                        *(company, Pose2D(*pose.tolist()), self.config.preset.rgb.fx, suite.sight)
                     )
                     about += crowd.key
                     crowds[scene, about] = crowd

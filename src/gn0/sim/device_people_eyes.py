@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from gn0.avatars.bank import AvatarBank
 from gn0.avatars.detail import GRAIN, REACH_PX
 from gn0.avatars.light import LightProbes, find_probes
-from gn0.avatars.motion.gait import SPEEDS
 from gn0.avatars.motion.library import LOOPS, speed_class
 from gn0.avatars.motion.standing import FPS, GESTURES, IDLES
 from gn0.avatars.motion.stepping import PIVOT, PIVOT_ROWS
@@ -32,6 +31,7 @@ from gn0.missions.episode import Episode
 from gn0.people.cast import Cast
 from gn0.people.person import EpisodePerson
 from gn0.people.shown_codes import ShownCodes
+from gn0.people.sight import Sight
 from gn0.render.instance import PartsDevice
 from gn0.scenes.scene import Scene, read_splats
 from gn0.seeds import derive_seed
@@ -45,10 +45,6 @@ if TYPE_CHECKING:
 
     from gn0.sim.device_state import SimulatorDevice
 
-# m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
-_SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
-_SLACK = 0.05  # between the moments at which clips were looked at, and what a head turns
-_HIGH = 1.5  # m above or below an eye that a person may be
 _POSTURES = 2**29  # bytes of the host at most, for their postures
 _OFFSETS = 97  # by how many ticks people's clips are apart
 
@@ -61,13 +57,11 @@ class PeopleEyesDevice:
         renderer: draws, and holds posed clouds.
         focal: of pictures [px], which decides levels of detail.
         bank: of named people, its folder or itself.
-        widest: tangent of the angle from the middle of a picture to its left or right edge, of
-            the widest; who is beside all pictures is not posed.
-        pitch: how far cameras look up or down [rad].
-        ground: depth from which on they see the floor [m].
+        sight: what is seen in their pictures; who is beside is not posed. All round when None.
         budget: bytes of posed clouds.
 
     Attributes:
+        sight: as of the arguments.
         codes: what kernels say of people.
         posed: the posed clouds.
         ahead: whether those of the next step are posed while this one is drawn, as far as they can
@@ -84,9 +78,7 @@ class PeopleEyesDevice:
         focal: float,
         bank: AvatarBank | Path | str | None = None,
         *,
-        widest: float = math.inf,
-        pitch: float = 0.0,
-        ground: float = 0.0,
+        sight: Sight | None = None,
         budget: int = BUDGET,
     ) -> None:
         if not isinstance(renderer, HoldsParts) or not renderer.traits.device_views:  # type: ignore[attr-defined]
@@ -101,9 +93,7 @@ class PeopleEyesDevice:
         self._from = [0.0] + [
             GRAIN[level] * focal / REACH_PX[level] for level in range(1, len(GRAIN))
         ]
-        # depths before a camera that looks up or down grow with the height of what it sees
-        self._sides = widest, _HIGH * math.tan(abs(pitch))
-        self._ground = ground
+        self.sight = sight
         self.ahead = renderer.device.kind == "cuda"
         self._tables: tuple[DeviceArray, DeviceArray] | None = None  # levels, turns
         self._shown: tuple[DeviceArray, ...] | None = None
@@ -149,14 +139,12 @@ class PeopleEyesDevice:
         row["offset"], row["gait"] = seed % _OFFSETS, speed_class(person.speed)
         idle = IDLES[seed % len(IDLES)]
         row["idle"], row["idle_rows"] = self.codes.clip(idle), len(library.clip(idle).plan)
-        stands, walks = actor.outline(idle), actor.outline("walk", SPEEDS[row["gait"]])
-        row["coarser"][: len(actor.coarser)] = actor.coarser
-        row["shadow"] = max(stands.shadow, walks.shadow) + _SLACK
-        row["stands"], row["walks"] = (each.body + _SLACK for each in (stands, walks))
-        reach, row["still"] = stands.radius, stands.radius + _SWAYS
+        reach = actor.reach_of(person)
+        row["stands"], row["walks"], row["still"] = reach.stands, reach.walks, reach.still
+        row["reach"], row["shadow"] = reach.most, reach.shadow
+        row["coarser"][: len(reach.coarser)] = reach.coarser
         if person.behaviour == "script":
             row["stride"] = library.clip("walk", person.speed).stride
-            row["reach"] = reach + _STRIDES
             return
         sits = person.behaviour == "sit"
         name = person.clip or ("sit" if sits else idle)
@@ -164,7 +152,6 @@ class PeopleEyesDevice:
         assert clip.fps == FPS and not clip.stride
         row["clip"], row["clip_rows"] = self.codes.clip(name), len(clip.plan)
         row["clip_loops"], row["clip_rowed"] = name in LOOPS, name not in GESTURES
-        row["reach"] = reach + _STRETCHES
         if sits:
             row["forward"] = actor.behind(person.seat)
         elif name not in IDLES:
@@ -210,15 +197,16 @@ class PeopleEyesDevice:
         company = simulator.company
         levels, turned = self._tables
         codes, poses, gains = looks
+        across, deeper, ground = self.sight or (math.inf, 0.0, 0.0)
         showing = ShowPeople(
             w=simulator.world,
             c=crowd,
             from_=levels,
             levels=np.int32(len(self._from)),
             turns=turned,
-            across=np.float64(self._sides[0]),
-            deeper=np.float64(self._sides[1]),
-            ground=np.float64(self._ground),
+            across=np.float64(across),
+            deeper=np.float64(deeper),
+            ground=np.float64(ground),
             codes=codes,
             poses=poses,
             gains=gains,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from gn0.device.device import Device
 from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import Episode
-from gn0.render.camera import Camera
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.sim.device_eyes import EyesDevice, draws_people
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 
     from gn0.avatars.bank import AvatarBank
     from gn0.sim.device_people_eyes import PeopleEyesDevice
-
-_BLUR = 4.0  # px that a small splat reaches beyond its middle, and rounding
 
 
 def open_eyes(
@@ -83,6 +80,7 @@ def open_eyes(
     people: PeopleEyesDevice | None = None
     if peopled:
         from gn0.avatars.posed_bank import BUDGET  # bodies are needed here
+        from gn0.people.sight import find_sight
         from gn0.sim.device_people_eyes import PeopleEyesDevice
 
         preset = config.preset
@@ -90,34 +88,11 @@ def open_eyes(
         people = PeopleEyesDevice(
             *(tasks.scenes, chosen, preset.rgb.fx, bank),
             budget=BUDGET if people_memory is None else people_memory,
-            widest=max(_half_width(camera) for camera in cameras),
-            pitch=pitch,
-            ground=min(_floor_from(camera, tasks.agent.camera_height, pitch) for camera in cameras),
+            sight=find_sight(cameras, tasks.agent.camera_height, pitch),
         )
     return EyesDevice(
         config, tasks.scenes, tasks.agent, chosen, map_shape, visible_sets, motion, people
     )
-
-
-def _half_width(camera: Camera) -> float:
-    """Tangent of the angle to the further of a picture's sides, and a few pixels beyond."""
-    if camera.model != "pinhole":
-        return math.inf
-    return (max(camera.cx, camera.width - camera.cx) + _BLUR) / camera.fx
-
-
-def _floor_from(camera: Camera, height: float, pitch: float) -> float:
-    """Depth from which on a picture shows the floor [m], by an eye so high, or a little less.
-
-    Args:
-        camera: of the picture.
-        height: of the eye [m].
-        pitch: how far it looks up or down [rad].
-    """
-    if camera.model != "pinhole":
-        return 0.0
-    down = math.atan2(max(camera.cy, camera.height - camera.cy) + _BLUR, camera.fy) + abs(pitch)
-    return height / math.tan(down) if down < math.pi / 2 else 0.0
 
 
 def admit_people(

@@ -20,6 +20,7 @@ from gn0.people.crowd import CrowdState
 from gn0.people.person import PEOPLE_MOST, EpisodePerson
 from gn0.people.poser import name_posed, open_posed
 from gn0.people.shown import PoseShown, show_person
+from gn0.people.sight import Sight
 from gn0.render.instance import Instance
 from gn0.render.light import LightCondition
 from gn0.storage import content_hash
@@ -104,13 +105,17 @@ class PeopleEyes:
             self._probes = find_probes(self.scene.gaussians, self.scene.grid)
         return self._probes
 
-    def want(self, company: PeopleAround, eye: Pose2D, focal: float) -> Wanted:
+    def want(
+        self, company: PeopleAround, eye: Pose2D, focal: float, sight: Sight | None = None
+    ) -> Wanted:
         """What an eye is to see of people, nothing of which is made yet.
 
         Args:
             company: the people, and what they do.
             eye: where it is, and where it looks.
             focal: of its picture [px], which decides levels of detail.
+            sight: what it sees; whoever is beside is left out, and not built where he need not be.
+                All who are not behind it when None.
 
         Raises:
             EpisodeError: nobody plays one of them.
@@ -122,12 +127,19 @@ class PeopleEyes:
             x, y = company.places[row].tolist()
             if (x - eye.x) * ahead[0] + (y - eye.y) * ahead[1] < -BEHIND:
                 continue
+            if sight is not None and not sight.may_show(eye, x, y):
+                continue
             actor = self.cast.find(person.identity)
             shown, pose = show_person(
                 person, actor, state.real[0, row], state.whole[0, row], (eye.x, eye.y)
             )
             away = float(np.hypot(x - eye.x, y - eye.y))
             level = choose_level(away, focal)
+            if sight is not None and not sight.shows(
+                *(eye, pose, actor.reach_of(person), shown, level),
+                on_script=person.behaviour == "script",
+            ):
+                continue
             key = (actor.digest, shown, level)
             wanted.append((key, PoseShown(actor, shown, level)))
             poses.append(pose)
@@ -161,7 +173,7 @@ class PeopleEyes:
         ]
 
     def show(
-        self, company: PeopleAround, eye: Pose2D, focal: float
+        self, company: PeopleAround, eye: Pose2D, focal: float, sight: Sight | None = None
     ) -> tuple[tuple[Instance, ...], tuple[int, ...], bytes]:
         """People as an eye sees them; see `want` for the arguments.
 
@@ -172,7 +184,7 @@ class PeopleEyes:
         Raises:
             EpisodeError: nobody plays one of them.
         """
-        view = self.want(company, eye, focal)
+        view = self.want(company, eye, focal, sight)
         (parts,) = self.show_many([view])
         return parts, view.numbers, view.key
 
@@ -187,7 +199,7 @@ class PeopleEyes:
             pose: of the eye.
             moment: what else moves, then.
         """
-        parts, numbers, _ = self.show(company, pose, suite.config.preset.rgb.fx)
+        parts, numbers, _ = self.show(company, pose, suite.config.preset.rgb.fx, suite.sight)
         return read_who(suite, pose, (*moment.parts, *parts), numbers)
 
 

@@ -28,6 +28,7 @@ from gn0.sim.state import MapMode
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
+    from gn0.people.sight import Sight
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import DrawnScene
     from gn0.scenes.scene import SceneObject
@@ -326,6 +327,14 @@ class SensorSuite:
             moving = {"parts": [moment.parts for moment in moments]}
         plan = plan_look(self.config.preset, outputs, millimetres)
         return render_plan(plan, self.renderer.render, self.views_of(poses), moving)
+
+    @cached_property
+    def sight(self) -> Sight | None:
+        """What eyes see of people in colour and depth; None where that is not told."""
+        from gn0.people.sight import find_sight  # bodies are needed only where people are
+
+        preset = self.config.preset
+        return find_sight((preset.rgb, preset.depth), self._camera_height, self._pitch)
 
     def views_of(self, poses: Sequence[Pose2D]) -> F64:
         """Where the eyes are at some poses: world to camera [V, 4, 4]."""

@@ -505,7 +505,7 @@ class Simulator:
         if not self._company or self._people is None:
             return moment
         parts, self._numbers, key = self._people.show(
-            self._company, pose, self.config.preset.rgb.fx
+            self._company, pose, self.config.preset.rgb.fx, self._suite.sight
         )
         return Moment(moment.time, (*moment.parts, *parts), key)
 

@@ -26,9 +26,9 @@ from gn0.geometry import F64, quaternion_from_rotation, rotation_from_quaternion
 from gn0.jit import njit, prange
 
 SHARES = (1.0, 1 / 2, 1 / 4, 1 / 12, 1 / 40)  # of all splats that each level has
-# mean distance of neighbours where a level begins [px]; a half is nearer to the person drawn finer
-# than all splats are as long as it is less than 2 px, as those come out too wide
-REACH_PX = (0.0, 1.8, 1.1, 0.95, 0.95)
+# mean distance of neighbours where a level begins [px]; up to 1.8 a half is nearer to the person
+# drawn finer than all splats are, which come out too wide, but from 1.5 on pores show on faces
+REACH_PX = (0.0, 1.4, 1.1, 0.95, 0.95)
 GRAIN = (0.0086, 0.0122, 0.0173, 0.0300, 0.0550)  # that distance [m]
 _MADE_OF = (0, 0, 0, 2, 3)  # level that each is made of: a quarter of a half is less like all
 _ROUNDS = 4  # of moving middles and sharing out again
@@ -40,7 +40,7 @@ _WIDEST = 1.5  # standard deviation of what is seen at most, in how close others
 _INNER = 0.01  # of a lining's mass that counts
 _STRANDS = [PARTS.index(name) for name in STRANDS]  # they lie over each other: none is a lining
 _APART = 1e3  # grains between parts: they never mix
-_SPREAD = (1.0, 1.15, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
+_SPREAD = (1.0, 1.25, 1.3, 3.0, 5.0)  # of what is merged, relative to its moments
 _HANG = 1.15  # of arms in the pose in which splats are merged [rad]
 # how far what is merged lies below the surface [m]
 _INWARD = (0.0, -0.0005, -0.001, -0.002, -0.003)

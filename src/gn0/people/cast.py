@@ -34,7 +34,7 @@ from gn0.people.person import EpisodePerson, drawn_identity
 from gn0.storage import cache_dir, content_hash
 from gn0.version import source_version
 
-_KEPT = 48  # actors in memory, about 6 MB each
+_KEPT = 48  # actors in memory, about 8 MB each
 _POSTURES = 64  # of an actor, 8 kB each
 _DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
 

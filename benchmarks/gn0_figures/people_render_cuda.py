@@ -25,7 +25,14 @@ from gn0_figures.device_parts import DEPTH, QUALITY, SHARES, UNSEEN
 from gn0_figures.device_table import OUTPUTS, Bench
 from gn0_figures.flat import flat_camera
 from gn0_figures.people_batch import UNSEEN_AWAY, open_batch, send_people
-from gn0_figures.people_walking import LIGHT, PIXELS, Walkers, find_views, open_actors
+from gn0_figures.people_walking import (
+    LIGHT,
+    PIXELS,
+    QUARTER,
+    Walkers,
+    find_views,
+    open_actors,
+)
 
 _KEY = "flat"
 _ROUNDS, _TURNS = 24, 64  # timed calls, and phases of a cycle
@@ -64,7 +71,7 @@ def _measure_bank(bench: Bench) -> None:
             worst = max(worst, float(np.linalg.norm(places - want, axis=1).max()))
     detail = f"four poses of a walk at each of {len(levels)} levels, after packing"
     bench.add(row_at_most("skinned and packed, to the CPU", 1e3 * worst, _SKIN, "mm", detail))
-    avatar = actor.levels[min(1, len(actor.levels) - 1)]
+    avatar = actor.levels[QUARTER]
     rest = bring_rest(device, rest_of(avatar))
     made = [posing_of(avatar, rest, *walkers.wanted(k)[0][1].turn()) for k in range(count)]
     walls: dict[str, list[float]] = {}

@@ -25,6 +25,7 @@ LIGHT: F32 = np.array(
     [[0.8, 0.75, 0.7], [0.2, 0.2, 0.15], [0.1, 0.0, 0.0], [0.15, 0.2, 0.25]], np.float32
 )
 PIXELS = 224
+QUARTER = SHARES.index(1 / 4)  # the level of detail of a quarter of all splats
 _SIDES = (0.0, -0.6, 0.6, -1.2, 1.2, -0.3, 0.3, 0.9)  # where who stands, m to the left
 _FURTHER = (0.0, 0.1, 0.2, 0.1, 0.4, 0.8, 0.9, 0.7)  # behind the first, m
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gn0.avatars.avatar import SHADOWS, TO_WORLD, Avatar
+from gn0.avatars.detail import SHARES
 from gn0.avatars.posed_bank import PosedBank
 from gn0.avatars.poses import standing_pose, stride_pose
 from gn0.avatars.skinning import pose_joints
@@ -48,7 +49,7 @@ def floor_cloud(count: int = 400) -> GaussianCloud:
 
 def somebody(levels: tuple[Avatar, ...] | None = None) -> Actor:
     person = small_person()
-    return Actor("small", "0123456789abcdef", levels or (person,) * 4)
+    return Actor("small", "0123456789abcdef", levels or (person,) * len(SHARES))
 
 
 def walking(frame: int, level: int = 0, actor: Actor | None = None) -> PoseShown:
@@ -210,7 +211,7 @@ def test_joints_are_placed_once_for_all_levels(monkeypatch: pytest.MonkeyPatch) 
     actor, turns = somebody(), []
     turn = PoseShown.turn
     monkeypatch.setattr(PoseShown, "turn", lambda self: turns.append(self) or turn(self))
-    first = [walking(8, level, actor).pack() for level in range(4)]
+    first = [walking(8, level, actor).pack() for level in range(len(SHARES))]
     assert len(turns) == 1
     walking(8, 2, actor)()
     assert len(turns) == 1

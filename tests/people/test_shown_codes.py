@@ -8,8 +8,10 @@ import pytest
 
 from gn0.avatars.avatar import SHADOWS
 from gn0.avatars.coded_poses import PosesOneByOne
+from gn0.avatars.detail import SHARES
 from gn0.avatars.posed_device import rest_of
 from gn0.device.host import DeviceHost
+from gn0.errors import ConfigError
 from gn0.people import shown_codes
 from gn0.people.cast import Cast
 from gn0.people.shown_codes import _BITS, ShownCodes
@@ -26,7 +28,7 @@ _LOOKS = (
     (0, 2, "settle_left", 301, 2, 2, "walk", 8, 1, 1, 40),
     (1, 2, "settle_right", 77, 2, 3, "", 0, 0, 0, 0),
     (0, 3, "wave", 30, 2, 2, "", 0, 0, 0, 0),
-    (2, 0, "sit", 48, 2, 2, "", 0, 0, 0, 0),
+    (2, 4, "sit", 48, 2, 2, "", 0, 0, 0, 0),
     (1, 0, "hold", 12, 2, 2, "", 0, 0, 0, 0),
 )
 
@@ -96,8 +98,24 @@ def test_many_are_posed_to_the_bit_as_each_alone(
 
 def test_levels_of_detail_share_postures(shown: ShownCodes, many: np.ndarray) -> None:
     one = int(many[2]) - 1
-    codes = np.array([1 + (one & ~(3 << 16) | level << 16) for level in range(4)], np.uint64)
+    assert sum(_BITS) == 64 and len(SHARES) <= 1 << _BITS[1]
+    codes = np.array(
+        [1 + (one & ~(7 << 15) | level << 15) for level in range(len(SHARES))], np.uint64
+    )
+    assert [shown.read(int(code)).level for code in codes] == list(range(len(SHARES)))
     assert len(set(shown.postures(codes).tolist())) == 1
     assert len(set(shown.postures(many).tolist())) == len(many) and shown.postures(many).all()
     rows = ready(shown, codes)[0]
     assert (rows == rows[0]).all()
+
+
+def test_more_roles_than_a_code_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And those who have a number keep it."""
+    codes = ShownCodes(Cast())
+    assert shown_codes._ROLES == 2**15
+    monkeypatch.setattr(shown_codes, "_ROLES", 2)
+    assert [codes.role("drawn:5:0", seat) for seat in (0.45, 0.5)] == [0, 1]
+    for _ in range(2):
+        with pytest.raises(ConfigError, match=r"more than 2 people .* seat"):
+            codes.role("drawn:5:1", 0.45)
+    assert codes.role("drawn:5:0", 0.5) == 1 and len(codes._whom) == 2

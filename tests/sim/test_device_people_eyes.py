@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gn0.avatars import AvatarBank, generate_bank
-from gn0.avatars.detail import choose_level
+from gn0.avatars.detail import SHARES, choose_level
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, DeviceMemoryError, EpisodeError
 from gn0.missions.episode import AgentSpec, Episode, MissionGoal
@@ -165,6 +165,36 @@ def test_nobody_behind_an_agent_is_posed(bank, preset, monkeypatch) -> None:
     _, infos = env.reset(seed=0, options={"episode": [e.id for e in episodes]})
     there = check_shown(env, cast, episodes, infos)
     assert 8 <= len(there) <= 20, "those before it, and few of the others"
+
+
+def test_each_level_of_detail_is_that_of_the_host(bank, preset, monkeypatch) -> None:
+    """Of who stands before an agent, from near to far, by cameras of long focal lengths."""
+    (name, *_) = sorted(bank.names)
+    goal = MissionGoal(goal=(6.0, 2.5), object_id="", category="bed", instruction="Go.")
+    aways = (0.65, 1.0, 1.3, 1.5, 1.7, 1.9, 2.1, 2.4)
+    episodes = [
+        Episode(
+            id=f"away-{k}", scene_id=FLAT.id, mission=goal, start=(1.0, 2.5, 0.0),
+            path=((1.0, 2.5), goal.goal), people=(
+                EpisodePerson(
+                    number=1, identity=name, path=((1.0 + away, 2.5),), behaviour="stand", seed=k
+                ),
+            ),
+        )
+        for k, away in enumerate(aways)
+    ]  # fmt: skip
+    seen = set()
+    for degrees in (16.0, 46.0):
+        long = Camera.from_hfov(32, 32, degrees)
+        eyes = msgspec.structs.replace(find_preset(preset), rgb=long, depth=long)
+        monkeypatch.setitem(presets._BY_NAME, preset, eyes)
+        env = open_device_env(episodes, bank, preset, count=len(aways), sensors=("rgb",))
+        env.reset(seed=0, options={"episode": [e.id for e in episodes]})
+        codes, read = env._eyes.people._shown[0].numpy(), env._eyes.people.codes.read
+        levels = [read(int(code)).level for code in codes if code]
+        assert levels == [choose_level(away, long.fx) for away in aways]
+        seen |= set(levels)
+    assert seen == set(range(len(SHARES)))
 
 
 def test_who_turns_on_the_spot_steps_as_on_the_host(bank, preset, monkeypatch) -> None:

@@ -10,12 +10,12 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import msgspec
 
-from gn0.avatars.avatar import SHADOWS, Avatar
+from gn0.avatars.avatar import SHADOWS, Avatar, thin_avatar
 from gn0.avatars.bank import AvatarBank, digest_avatar, load_avatar, save_avatar
 from gn0.avatars.detail import GRAIN, SHARES, build_levels
 from gn0.avatars.held import BOX_SPACING, HELD, hold_thing
@@ -36,9 +36,9 @@ from gn0.seeds import derive_seed
 from gn0.storage import cache_dir, content_hash
 from gn0.version import source_version
 
-_KEPT = 48  # actors in memory, about 6 MB each
+_KEPT = 48  # actors in memory, about 8 MB each
 _POSTURES = 64  # of an actor, 8 kB each
-_MOMENTS = 16  # of a clip, for how far it reaches
+_MOMENTS, _EVERY = 16, 8  # of a clip, and one splat of so many, for how far it reaches
 _DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
 
 
@@ -59,7 +59,6 @@ class Actor:
     _seats: dict[float, float] = field(default_factory=dict)
     _holding: dict[tuple[str, int], Avatar] = field(default_factory=dict)
     _outlines: dict[tuple[str, float], Outline] = field(default_factory=dict)
-    _coarser: tuple[float, ...] = ()
     _reaches: dict[tuple[str, float, bool], Reach] = field(default_factory=dict)
     _postures: OrderedDict[Hashable, Posture] = field(default_factory=OrderedDict)
 
@@ -101,27 +100,31 @@ class Actor:
     def outline(self, clip: str, speed: float = 1.0) -> Outline:
         """How far from its place anything of it is seen in a clip, at the finest level.
 
-        A walk is looked at at 16 phases, all else at as many moments.
+        A walk is looked at at 16 phases, all else at as many moments, by every eighth splat.
         """
         if (clip, speed) not in self._outlines:
-            library, best = self.library(SEAT), self.levels[0]
-            rows = len(library.clip(clip, speed).plan)
-            poses, shifts = library.table(clip, speed)
+            rows = len(self.library(SEAT).clip(clip, speed).plan)
+            poses, shifts = self.library(SEAT).table(clip, speed)
             looked_at = sorted({rows * k // _MOMENTS for k in range(_MOMENTS)})
             self._outlines[clip, speed] = join_outlines(
-                find_outline(best.pose_as(best.place_joints(poses[row], shifts[row])), SHADOWS)
+                find_outline(self._thin.pose(poses[row], shifts[row]), SHADOWS)
                 for row in looked_at
             )
         return self._outlines[clip, speed]
 
-    @property
+    @cached_property
+    def _thin(self) -> Avatar:
+        return thin_avatar(self.levels[0], _EVERY)
+
+    @cached_property
     def coarser(self) -> tuple[float, ...]:
         """How much farther from its place it is seen at each level [m]; 0 if it is not."""
-        if not self._coarser:
-            posture = self.levels[0].place_joints(*self.library(SEAT).pose_at(IDLES[0], 0.0))
-            each = [find_outline(level.pose_as(posture), SHADOWS) for level in self.levels]
-            self._coarser = tuple(one.beyond(each[0]) for one in each)
-        return self._coarser
+        pose = self.library(SEAT).pose_at(IDLES[0], 0.0)
+        fine, *others = (
+            find_outline(thin_avatar(level, _EVERY if n == 0 else 1).pose(*pose), SHADOWS)
+            for n, level in enumerate(self.levels)
+        )
+        return 0.0, *(other.beyond(fine) for other in others)
 
     def reach_of(self, person: EpisodePerson) -> Reach:
         """How far from its place it is seen as somebody of an episode."""

@@ -16,6 +16,7 @@ from gn0.avatars.held import HELD
 from gn0.avatars.kept_rows import KeptRows
 from gn0.avatars.motion.gait import SPEEDS
 from gn0.avatars.motion.library import BY_SPEED
+from gn0.errors import ConfigError
 from gn0.geometry import F32, F64
 from gn0.people.cast import Cast
 from gn0.people.shown import STOOD, PoseShown, Shown, rest_key
@@ -23,7 +24,7 @@ from gn0.people.shown_poses import BLEND, FRAME_WIDTH, KINDS, frame_of, ready_pe
 from gn0.render.cuda.posed import RestDevice
 
 _NONE = 63  # no clip
-_BITS = (16, 2, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
+_BITS = (15, 3, 6, 10, 3, 3, 6, 9, 2, 1, 6)  # of a code, from its lowest; `shown.cu` has the same
 _LEVEL = np.uint64((1 << _BITS[1]) - 1 << _BITS[0])
 _ROLES, _GAITS, _FRAMES = 1 << _BITS[0], 1 << _BITS[4], 1 << _BITS[3]
 _KEPT = 2**15  # frames of clips, 3.3 kB each; memory that nobody wrote to is none
@@ -64,11 +65,25 @@ class ShownCodes:
         self._bodies: F64 | None = None
 
     def role(self, identity: str, seat: float) -> int:
-        """The number of somebody with a seat of a height [m]."""
-        number = self._roles.setdefault((identity, seat), len(self._whom))
-        if number == len(self._whom):
+        """The number of somebody with a seat of a height [m].
+
+        Raises:
+            ConfigError: a code has no room for as many.
+            EpisodeError, StorageError, FormatError: see `Cast.find`.
+        """
+        number = self._roles.get((identity, seat))
+        if number is None:
+            number = len(self._whom)
+            if number >= _ROLES:
+                raise ConfigError(
+                    f"more than {_ROLES:,} people who differ by identity or height of seat",
+                    where=f"identity {identity!r}",
+                    remedy="share the episodes out over several environments, or use VectorEnv",
+                )
+            joints = self._cast.find(identity).levels[0].joints
+            self._roles[identity, seat] = number
             self._whom.append((identity, seat))
-            self._joints.append(self._cast.find(identity).levels[0].joints)
+            self._joints.append(joints)
             self._bodies = None
         return number
 

@@ -125,6 +125,7 @@ class PeopleEyesDevice:
         """What each person of an episode brings to its looks: `ROLE` [P].
 
         Raises:
+            ConfigError: codes have no room for as many people who differ.
             EpisodeError, StorageError, FormatError: see `Cast.find`.
         """
         rows = np.zeros(len(episode.people), ROLE)

@@ -261,7 +261,7 @@ KERNEL(show_people)(World w, Crowd c, const double *from, int levels, const doub
     if (out && dark) return;
   }
   u64 code = (u64)role.number;
-  code |= (u64)level << 16;
+  code |= (u64)level << 15;
   code |= (u64)clip << 18;
   code |= (u64)frame << 24;
   code |= (u64)role.gait << 34;

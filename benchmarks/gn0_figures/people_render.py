@@ -20,6 +20,7 @@ from gn0.render.renderer import RenderOptions
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.device_scenes import flat_scene
 from gn0_figures.flat import flat_camera
+from gn0_figures.people_among import measure_among
 from gn0_figures.people_walking import LIGHT, PIXELS, Walkers, find_views, open_actors
 
 CASES = (
@@ -70,7 +71,9 @@ def measure_people(ctx: FigureContext) -> list[FigureRow]:
         rows += _time_walk(ctx, stage, walkers, title, most, where)
         for row in rows[-5:]:
             ctx.report(row)
-    return rows
+    for row in (among := measure_among(ctx)):
+        ctx.report(row)
+    return [*rows, *among]
 
 
 def _time_poses(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0_figures import people_sim
+from gn0_figures import people_among, people_sim
+from gn0_figures.board import FigureContext
 from gn0_figures.people_sim import NO_WAY, TICKER, WON, WayWatch
 
 TICKS = round(NO_WAY / TICKER.step_seconds)
@@ -38,3 +39,13 @@ def test_the_row_of_who_stood_still_is_counted_as_before(monkeypatch: pytest.Mon
     soon = people_sim.watch(scenes, episodes, 3.0, [0, 1, 2])
     assert soon.no_way > 0  # who sets off has won little by then
     assert (soon.stuck, soon.longest, soon.digest) == (found.stuck, found.longest, found.digest)
+
+
+@pytest.mark.slow
+def test_agents_among_people_pose_those_whom_they_may_see(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(people_among, "PEOPLE", 3)
+    monkeypatch.setattr(people_among, "IDENTITIES", 1)
+    monkeypatch.setattr(people_among, "_EPISODES", 1)
+    rows = people_among.measure_among(FigureContext(tmp_path, tmp_path), splats=2000, steps=12)
+    few, many = (float(row.detail.split(". ")[-1].split()[0]) for row in rows)
+    assert 0 <= few < many <= 3

@@ -107,8 +107,7 @@ class Actor:
             poses, shifts = self.library(SEAT).table(clip, speed)
             looked_at = sorted({rows * k // _MOMENTS for k in range(_MOMENTS)})
             self._outlines[clip, speed] = join_outlines(
-                find_outline(self._thin.pose(poses[row], shifts[row]), SHADOWS)
-                for row in looked_at
+                find_outline(self._thin.pose(poses[row], shifts[row]), SHADOWS) for row in looked_at
             )
         return self._outlines[clip, speed]
 

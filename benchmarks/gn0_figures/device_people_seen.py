@@ -38,6 +38,7 @@ from gn0_figures.device_parts import SHARES
 from gn0_figures.device_rates import WALK
 from gn0_figures.flat import build_flat, flat_floor
 from gn0_figures.people_sim import FOLLOWER
+from gn0_figures.people_split import split_row, split_steps
 
 AGENTS, EPISODES, IDENTITIES = 1024, 64, 16
 _STEPS, _ROUNDS, _WARM, _LEAST = 24, 12, 6, 3
@@ -84,8 +85,10 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
         ctx.progress(f"agents among {people} people each have walked", len(envs), 1 + len(shares))
     times, warm = _walk_by_turns(ctx, calls, rounds, tiny)
     rounds = len(times["0"])
-    for env in envs.values():
+    splits = {}
+    for name, env in envs.items():
         env.synchronize()
+        splits[name] = split_steps(env, actions, steps)
     none = np.array(times["0"])
     settings = (
         f"standard flat of {len(scene.gaussians) / 1e6:g} M splats, visible sets, {count} agents, "
@@ -122,7 +125,8 @@ def measure_seen(ctx: FigureContext) -> list[FigureRow]:
             rows.append(FigureRow(name=title, value=share, unit="times", detail=detail))
         else:
             rows.append(row_at_least(title, share, least, "times", detail))
-    return rows
+    told = f"{settings.split(';')[0]}; medians of {steps} steps behind those, by events"
+    return [*rows, *(split_row(int(name), split, told) for name, split in splits.items())]
 
 
 def _walk_by_turns(

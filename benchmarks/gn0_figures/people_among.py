@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -50,8 +51,7 @@ def measure_among(ctx: FigureContext, splats: int = SPLATS, steps: int = _STEPS)
                 sim.step(action or 1)
                 spent[name].append(time.perf_counter() - begin)
     for name in _NAMES[1:]:
-        eyes = sims[name]._people
-        assert eyes is not None
+        eyes: Any = sims[name]._people
         asked[name] = eyes.posed.hits + eyes.posed.misses
     mean = {name: 1e3 * float(np.mean(taken)) for name, taken in spent.items()}
     detail = (

@@ -452,6 +452,7 @@ class Drawer:
         """Have it be known who stands where, and the lists' tables have room for it."""
         if work.instances is None or work.instances.settle is None:
             return lists
+        self._tell("settle")
         work.settle()
         sizes, (clouds, groups, members), count, _ = self._tables(work, lists.views_of, own=False)
         return replace(

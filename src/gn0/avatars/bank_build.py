@@ -129,7 +129,7 @@ def generate_bank(
 def join_bank(path: Path | str, avatar: Avatar) -> BankList:
     """Write an avatar to NAME.npz, and list it by that name in the bank of that folder.
 
-    The folder becomes a bank if it is none; its list is in the order of names, however it grew.
+    A folder that holds no list becomes a bank; the list is in the order of names, however it grew.
 
     Args:
         path: the avatar's file, `BANK/NAME.npz`.

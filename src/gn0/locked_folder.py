@@ -111,6 +111,20 @@ def forget_folder(folder: Path | str, marker: str) -> None:
                 raise storage_error(error, path, "remove") from error
 
 
+def check_folder(folder: Path) -> None:
+    """Make sure that an output folder is not a file.
+
+    Raises:
+        StorageError: it is one.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise StorageError(
+            "is a file, not a folder",
+            where=folder,
+            remedy="choose another --out, or remove the file",
+        )
+
+
 def check_room(out: Path, needed: int) -> None:
     """Make a folder and prove that it can be written and has room, before any long work.
 
@@ -157,9 +171,10 @@ def read_begun(
         settings: what has to be the same again, in words.
 
     Raises:
-        StorageError: the folder holds something else.
+        StorageError: the folder holds something else, is a file, or cannot be read.
         ConfigError: another of its kind was begun there.
     """
+    check_folder(folder)
     records = Journal(folder / journal).read()
     if not records:
         if folder.exists() and any(p.name not in (journal, LOCK) for p in folder.iterdir()):

@@ -73,6 +73,37 @@ def test_files_of_motion_are_played(bank: Path, tmp_path: Path) -> None:
     assert len(load_motion(again / "smplx.json")) == 5
 
 
+def test_frames_of_a_longer_animation_are_not_mixed_in(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "walk"
+    walk = [bank, "--motion", "walk", "--fps", 10, "--out", out]
+    assert animate(*walk, "--seconds", 0.5, "--ply") == 0
+    before = (out / "smplx.json").read_bytes()
+    for more in (["--seconds", 0.3, "--ply"], ["--seconds", 0.5]):
+        assert animate(*walk, *more) == 2
+        assert "frame00006.ply" in capsys.readouterr().err
+    assert (out / "smplx.json").read_bytes() == before
+    assert animate(*walk, "--seconds", 0.7, "--ply") == 0 and len(list(out.glob("*.ply"))) == 8
+
+
+def test_what_a_camera_saw_stands_on_the_floor(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The frames of LHM know no floor: people sank by 1.74 m."""
+    frames = tmp_path / "lhm"
+    frames.mkdir()
+    upright = {"root_pose": [np.pi, 0, 0], "body_pose": [0.0] * 63, "trans": [0, 0, 3]}
+    for k in range(1, 5):
+        (frames / f"{k:05d}.json").write_text(json.dumps(upright))
+    seen = [bank, "--motion", frames, "--fps", 10, "--ply", "--out", tmp_path / "out"]
+    assert animate(*seen) == 0
+    assert "m under the floor: its lowest foot is put on it" in capsys.readouterr().out
+    cloud = load_cloud(tmp_path / "out" / "frame00001.ply").cloud
+    rest = load_avatar(bank / "p0000.npz").pose(shadow=False)
+    assert abs(np.quantile(cloud.means[:, 2], 0.001) - np.quantile(rest.means[:, 2], 0.001)) < 0.03
+
+
 def test_the_same_command_writes_the_same_bytes(bank: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         assert animate(bank, "--motion", "start", "--seconds", 0.3, "--seed", 3, "--out",
@@ -85,6 +116,7 @@ def test_the_same_command_writes_the_same_bytes(bank: Path, tmp_path: Path) -> N
     ("argv", "words"),
     [
         (["--motion", "moonwalk"], "neither a clip of the library nor a file"),
+        (["--motion", ""], "neither a clip of the library nor a file"),
         (["--motion", "walk", "--name", "p9999"], "no avatar is named"),
         (["--motion", "walk", "--speed", "9"], "speed"),
         (["--motion", "sit", "--seat", "2"], "seat"),

@@ -7,13 +7,16 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
 from gn0.avatars.bank import AvatarBank, load_avatar, open_avatars
-from gn0.avatars.bank_build import generate_bank
+from gn0.avatars.bank_build import generate_bank, join_bank
 from gn0.cli.main import main
-from gn0.errors import ConfigError, FormatError, StorageError
+from gn0.errors import ConfigError, EpisodeError, FormatError, StorageError
+from gn0.people.cast import Cast
+from gn0.people.person import EpisodePerson
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -124,6 +127,62 @@ def test_the_command_line_makes_shows_and_checks(
     assert main(["avatar", "check", out, "--name", "p0001"]) in (0, 1)
     assert "1 avatar:" in capsys.readouterr().out
     assert main(["avatar", "show", str(tmp_path / "none"), "--out", str(picture)]) == 2
+
+
+def test_what_is_no_bank_is_told_apart(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    note = tmp_path / "note.txt"
+    note.write_text("mine")
+    (tmp_path / "empty").mkdir()
+    nobody = tmp_path / "nobody"
+    nobody.mkdir()
+    listed = json.loads((bank / "bank.json").read_text())
+    (nobody / "bank.json").write_text(json.dumps(listed | {"avatars": []}))
+    for argv, said in (
+        (["show", tmp_path / "none"], "there is no such bank"),
+        (["show", tmp_path / "empty"], "it has no bank.json"),
+        (["animate", nobody, "--motion", "walk", "--out", tmp_path / "w"], "lists nobody"),
+        (["show", bank / "p0000.npz", "--name", "p0000"], "is the file of one avatar"),
+        (["show", bank, "--out", tmp_path / "a.gif"], "end it with .png or .jpg"),
+        (["generate", "--count", 1, "--out", note], "is a file, not a folder"),
+    ):
+        assert main(["avatar", *map(str, argv)]) == 2
+        assert said in capsys.readouterr().err
+    assert note.read_text() == "mine"
+    assert main(["avatar", "show", str(bank), "--out", str(tmp_path / "a.jpg")]) == 0
+    assert (tmp_path / "a.jpg").read_bytes()[:2] == b"\xff\xd8"
+
+
+def test_people_of_ones_own_become_a_bank(bank: Path, tmp_path: Path) -> None:
+    """In whatever order they come; the bank is what episodes name people of."""
+    one, two = (load_avatar(bank / f"p000{k}.npz") for k in (0, 1))
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    for folder, order in ((mine, (("zoë", one), ("anna", two))),
+                          (other, (("anna", two), ("zoë", one), ("anna", two)))):  # fmt: skip
+        for name, avatar in order:
+            listed = join_bank(folder / f"{name}.npz", avatar)
+    assert [entry.name for entry in listed.avatars] == ["anna", "zoë"]
+    for name in ("anna.npz", "zoë.npz", "bank.json"):
+        assert (mine / name).read_bytes() == (other / name).read_bytes()
+    opened = AvatarBank(mine)
+    assert opened.content_hash == listed.hash and opened.load("zoë").name == "zoë"
+    assert np.array_equal(opened.load("anna").points, two.points)
+    before = {path.name: path.read_bytes() for path in mine.iterdir()}
+    for path, said in (
+        (mine / "anna.npz", "has another person called 'anna'"),
+        (bank / "anna.npz", "generated people"),
+        (mine / "a b.npz", "names no person"),
+        (mine / "anna.txt", "names no person"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            join_bank(path, one)
+    assert {path.name: path.read_bytes() for path in mine.iterdir()} == before
+    cast = Cast(mine)
+    walker = EpisodePerson(number=1, identity="anna", path=((0.0, 0.0), (1.0, 0.0)))
+    cast.check((msgspec.structs.replace(walker, bank=listed.hash),))
+    with pytest.raises(EpisodeError, match="is of bank 0"):
+        cast.check((msgspec.structs.replace(walker, bank="0"),))
 
 
 def test_a_long_name_stands_apart_from_what_is_found(monkeypatch, tmp_path, capsys) -> None:

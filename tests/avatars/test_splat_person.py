@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from gn0.avatars.avatar import Avatar
-from gn0.avatars.bank import load_avatar, open_avatars, save_avatar
+from gn0.avatars.bank import AvatarBank, load_avatar, open_avatars, save_avatar
 from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.poses import trial_poses
 from gn0.avatars.skinning import pose_joints, skin_points
 from gn0.avatars.splat_person import load_splat_person, save_splat_person
 from gn0.cli.main import main
-from gn0.errors import FormatError
+from gn0.errors import DataError, FormatError
 from gn0_trials.people_small import small_person
 
 
@@ -96,6 +96,10 @@ def test_a_person_without_parts_or_joints_hangs_on_our_body(person: Avatar, fold
         ({"shape_space": np.array("smplx"), "joints": None}, "no joints"),
         ({"part": np.array([200], np.uint8)}, "expected numbers"),
         ({"licence": np.zeros(3)}, "not a word"),
+        ({"scale": np.zeros(0)}, "'scale': this is not a number"),
+        ({"scale": np.array("one")}, "'scale': this is not a number"),
+        ({"joints": np.full((55, 3), 1e20)}, "the pelvis lies 1e.20 m off the splats"),
+        ({"joints": None, "betas": np.full(10, 1e6)}, "'betas': the .* m off the splats"),
     ],
 )
 def test_bad_bindings_say_what_is_wrong(
@@ -126,6 +130,57 @@ def test_a_file_of_something_else_is_told_what_a_person_is(
     assert ("--motion FILE" in caught.value.remedy) == name.endswith(".fbx")
 
 
+@pytest.mark.parametrize(
+    ("change_of", "said"),
+    [
+        ({"means": (9.0, 1.0, 0.0)}, "splat 7 lies 9.1 m off the middle of the body"),
+        ({"scales": (30.0, 0.01, 0.01)}, "splat 7 is 30.0 m large"),
+    ],
+)
+def test_what_an_avatar_s_file_cannot_hold_is_refused(
+    person: Avatar, folder: Path, change_of: dict[str, tuple[float, ...]], said: str
+) -> None:
+    """A splat 9 m off came back at 2.4 m, and one 30 m large as one of 1 m."""
+    from gn0.gaussians.ply import save_ply
+    from gn0.gaussians.splat_files import load_cloud
+
+    path = folder / f"{person.name}.ply"
+    cloud = load_cloud(path).cloud
+    for name, value in change_of.items():
+        changed = getattr(cloud, name).copy()
+        changed[7] = value
+        cloud = replace(cloud, **{name: changed})
+    save_ply(cloud, path)
+    with pytest.raises(FormatError, match=said) as caught:
+        load_splat_person(path)
+    assert "not of the person" in caught.value.remedy
+    far = person.points.copy()
+    far[3, 1] = 4.0
+    with pytest.raises(DataError, match=r"splat 3 lies farther off than 3\.28 m"):
+        save_avatar(folder / "far.npz", replace(person, points=far))
+    assert not (folder / "far.npz").exists()
+
+
+def test_mirrored_joints_lost_normals_and_heavy_weights_are_named(
+    person: Avatar, folder: Path
+) -> None:
+    path = folder / f"{person.name}.ply"
+    heavy = np.ones((len(person), 4))
+    heavy[5, 1] = 1e300
+    flat = person.normals.copy()
+    flat[6] = 0.0
+    for arrays, said in (
+        ({"joints": person.joints * [-1, 1, 1]}, "'joints': .*person's left"),
+        ({"weights": heavy}, "'weights': row 5 has a weight of 1e.300"),
+        ({"normals": flat}, "'normals': row 6 points nowhere"),
+    ):
+        kept = {name: ArrayFile(folder / "binding.npz").read(name) for name in arrays}
+        change(folder, **arrays)
+        with pytest.raises(FormatError, match=said):
+            load_splat_person(path)
+        change(folder, **kept)
+
+
 def test_an_avatar_of_ours_needs_no_import(
     person: Avatar, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,6 +197,13 @@ def test_the_command_line_brings_a_person(
     assert main(["avatar", "import", str(folder / f"{person.name}.ply"), "--out", str(out)]) == 0
     assert "CC0-1.0" in capsys.readouterr().out
     assert len(load_avatar(out)) == len(person)
+    mine = ["--in-bank", "--out", str(folder / "mine" / "anna.npz")]
+    assert main(["avatar", "import", str(folder / f"{person.name}.ply"), *mine]) == 0
+    assert "anna; hash " in capsys.readouterr().out
+    assert AvatarBank(folder / "mine").names == ("anna",)
+    other = [str(folder / f"{person.name}.ply"), "--out", str(folder / "p.txt")]
+    assert main(["avatar", "import", *other]) == 2  # `avatar show` would not know it
+    assert "end it with .npz" in capsys.readouterr().err and not (folder / "p.txt").exists()
 
 
 def test_a_room_and_a_statue_without_legs_are_no_people(person: Avatar, folder: Path) -> None:

@@ -200,7 +200,16 @@ STRIP = """
   const maps = document.querySelector("#follow-table td.map").getBoundingClientRect();
   const drawn = 10 * box.width / 720;
   const name = document.querySelector(".following tbody th[scope=row]");
-  return JSON.stringify([drawn, box.left >= maps.left, getComputedStyle(name).whiteSpace]);
+  const beside = [...document.querySelectorAll(".named")].map((named) => {
+    const [dot, word] = [...named.children].map((child) => child.getBoundingClientRect());
+    return dot.right <= word.left && dot.bottom > word.top && dot.top < word.bottom;
+  });
+  const lefts = [...document.querySelectorAll(".split")].map((table) => {
+    const at = [...table.querySelectorAll(".key")].map((dot) => dot.getBoundingClientRect().left);
+    return at.length ? Math.max(...at) - Math.min(...at) : 0;
+  });
+  return JSON.stringify([drawn, box.left >= maps.left, getComputedStyle(name).whiteSpace,
+    beside, lefts]);
 })()
 """
 
@@ -210,8 +219,26 @@ def test_the_strip_can_be_read_and_a_policys_name_stays_beside_its_dot(run: Path
     with open_browser(width=1320) as browser:
         browser.navigate(write_report(run, videos=0).as_uri())
         browser.wait_for("document.querySelector('footer') && document.readyState === 'complete'")
-        letters, below, wrap = json.loads(str(browser.evaluate(STRIP)))
-    assert letters >= 10.0 and below and wrap == "nowrap"
+        letters, below, wrap, beside, _ = json.loads(str(browser.evaluate(STRIP)))
+    assert letters >= 10.0 and below and wrap == "nowrap" and len(beside) > 3 and all(beside)
+
+
+@pytest.mark.skipif(bool(why_no_browser()), reason=why_no_browser())
+def test_long_names_stand_beside_their_dots_in_every_table(run: Path, tmp_path: Path) -> None:
+    """The dot of `wall_follower` stood above it, and dots of one column at two places."""
+    again = tmp_path / "again"
+    shutil.copytree(run, again)
+    about = json.loads((again / "summary.json").read_text())
+    (again / "summary.json").write_text(json.dumps(about | {"name": "wall_follower, the second"}))
+    page = write_report([run, again], tmp_path / "page.html", videos=0)
+    text = page.read_text()
+    assert "best mean of a column" in text
+    with open_browser(width=1200) as browser:
+        browser.navigate(page.as_uri())
+        browser.wait_for("document.querySelector('footer') && document.readyState === 'complete'")
+        *_, beside, lefts = json.loads(str(browser.evaluate(STRIP)))
+    assert len(beside) > 8 and all(beside)
+    assert len(lefts) == 2 and max(lefts) < 0.5
 
 
 def test_numbers_of_a_turned_map_stand_upright() -> None:

@@ -51,7 +51,9 @@ def test_what_is_given_wins_over_the_spec(tmp_path: Path) -> None:
     [
         ({"per_scene": 0}, "--per-scene"),
         ({"minimum_length": -1.0}, "--minimum-length"),
-        ({"missions": "goal,fly"}, "--missions"),
+        ({"missions": "goal,fly"}, "--types, --missions"),
+        ({"missions": "follow", "people": 2}, "--people"),  # they would be in no mission
+        ({"missions": "goal", "people_seed": 2}, "--people-seed"),
         ({"val_seen": 2.0}, "--val-seen"),
         ({"levels": "single"}, "--levels"),  # nobody is followed
         ({"judge": "pictures", "missions": "goal"}, "--judge"),
@@ -63,10 +65,29 @@ def test_a_value_out_of_range_is_named_by_its_flag(given: dict, flag: str) -> No
     with pytest.raises(ConfigError) as caught:
         read_settings(args(**given))
     assert caught.value.where == flag
-    choices = {"--missions": "goal", "--styles": "benchmark"}
+    choices = {"--types, --missions": "goal", "--styles": "benchmark"}
     assert choices.get(flag, "") in caught.value.remedy
     if given.get("levels") == "alone":
         assert caught.value.remedy == "choose of single, distractors, ambiguous"
+
+
+def test_people_of_a_spec_who_would_be_in_no_mission_are_refused(tmp_path: Path) -> None:
+    spec = tmp_path / "spec.yaml"
+    spec.write_text("missions: [follow]\npeople: {count: 3}\n")
+    with pytest.raises(ConfigError, match="bring their own people") as caught:
+        read_settings(args(spec=str(spec)))
+    assert caught.value.where == "people of the settings"
+    spec.write_text("missions: [goal, follow]\npeople: {count: 3}\n")
+    assert read_settings(args(spec=str(spec), people_seed=4)).people.seed == 4
+    assert read_settings(args(missions="follow", people=0)).missions == ("follow",)
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+def test_an_output_folder_that_is_a_file_is_named(home: Path, tmp_path: Path, capsys, more) -> None:
+    out = tmp_path / "note.txt"
+    out.write_text("mine")
+    assert main(["missions", "generate", str(home), *more, "--out", str(out)]) == 2
+    assert "is a file, not a folder" in capsys.readouterr().err and out.read_text() == "mine"
 
 
 def test_options_are_numbers_where_they_are() -> None:

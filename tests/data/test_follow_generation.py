@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -18,7 +19,7 @@ from gn0.missions.generate.follow_settings import FollowSettings
 from gn0.missions.generate.follow_tracks import TRACKS, load_tracks
 from gn0.missions.generate.path_pool import load_texts
 from gn0.scenes.folder import save_scene
-from gn0.suites.generation import generate_missions
+from gn0.suites.generation import generate_missions, what_then
 from gn0.suites.generation_folder import MANIFEST, TEXTS, WORK
 from gn0.suites.suite import load_suite
 from gn0_trials.crash_generation import folder_digest
@@ -100,6 +101,10 @@ def test_where_nobody_can_be_followed_the_command_says_why(
     strict = msgspec.structs.replace(FEW, follow=FollowSettings(least_length=90.0))
     with pytest.raises(EpisodeError, match=r"nobody can be followed along any of 4 paths.*4 short"):
         generate_missions([halls], tmp_path / "none", strict)
+    for fell, first in (({"walls": 8, "short": 1}, "people keep 0.3 m off walls"),
+                        ({"walls": 1, "short": 8}, "ask for more paths"), ({}, "ask")):  # fmt: skip
+        reports: list[Any] = [SimpleNamespace(follow_fell=fell)]
+        assert what_then(reports).startswith(first)
     wrong = ["missions", "generate", str(halls / "hall"), "--out", str(tmp_path / "x")]
     assert main([*wrong, "--types", "follow", "--levels", "crowd"]) != 0
     assert "levels" in capsys.readouterr().err

@@ -282,6 +282,13 @@ def test_the_policy_reads_pictures_and_refuses_what_does_not_fit() -> None:
     assert policy.act(nobody) == Action.STOP
 
 
+@pytest.mark.parametrize("distance", [0.1, -1, 1e9, float("nan"), "nan", None, True])
+def test_a_distance_that_nobody_keeps_is_refused(distance: object) -> None:
+    with pytest.raises(PolicyError, match="keeps a distance of") as caught:
+        PolicyBoxFollower(distance=distance)  # type: ignore[arg-type]
+    assert "0.5 to 5" in caught.value.remedy
+
+
 def test_the_same_walk_twice() -> None:
     a, b = (corridor_stage(0.8, 3, seed=1).play(follow_boxes()) for _ in range(2))
     np.testing.assert_array_equal(a.poses, b.poses)

@@ -178,6 +178,10 @@ def test_suites_and_scenes_are_walked_with_people(suite: Suite, tmp_path: Path) 
     assert len(build.args[4].people) == 2
     with pytest.raises(ConfigError, match="people are put into a scene"):
         view.find_view(view.Args(paths=(str(suite.folder),), people=2))
+    with pytest.raises(ConfigError, match="none are asked for"):
+        view.find_view(view.Args(paths=(scene,), people_seed=3))
+    with pytest.raises(ConfigError, match="of the people of a suite's episode"):
+        view.find_view(view.Args(paths=(scene,), bank="bank"))
     with pytest.raises(ConfigError, match="no episode 'a-folow'") as caught:
         view.find_view(view.Args(paths=(str(suite.folder),), episode="a-folow"))
     assert "'a-follow'" in caught.value.remedy

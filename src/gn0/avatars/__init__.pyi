@@ -2,6 +2,7 @@ from gn0.avatars.avatar import Avatar as Avatar
 from gn0.avatars.bank import AvatarBank as AvatarBank
 from gn0.avatars.bank import load_avatar as load_avatar
 from gn0.avatars.bank_build import generate_bank as generate_bank
+from gn0.avatars.bank_build import join_bank as join_bank
 from gn0.avatars.body_file import load_body as load_body
 from gn0.avatars.body_file import load_smplx_body as load_smplx_body
 from gn0.avatars.detail import build_levels as build_levels

@@ -16,7 +16,7 @@ from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.skinning import SkinWeights
 from gn0.avatars.splat_person import load_splat_person
 from gn0.config import Config
-from gn0.errors import FormatError, StorageError
+from gn0.errors import ConfigError, DataError, FormatError, StorageError
 from gn0.storage import (
     check_contained,
     content_hash,
@@ -63,8 +63,16 @@ def save_avatar(path: Path | str, avatar: Avatar) -> Avatar:
     """Write an avatar, and give it back as it will be read.
 
     Raises:
+        DataError: a splat lies farther off than a file can hold, 3.27 m.
         StorageError: the file cannot be written.
     """
+    if len(avatar) and not np.abs(avatar.points).max() / _METRE < 32_767.0:
+        row = int(np.abs(avatar.points).max(axis=1).argmax())
+        raise DataError(
+            f"splat {row} lies farther off than {_METRE * 32_767:.2f} m",
+            where=f"avatar {avatar.name}",
+            remedy="leave out what is not of the person",
+        )
     arrays = _pack(avatar)
     write_atomic(path, lambda stream: write_arrays(stream, arrays))
     return load_avatar(path)
@@ -192,8 +200,13 @@ class AvatarBank:
         check_contained(self.folder)
         path = self.folder / BANK_FILE
         if not path.is_file():
+            what = (
+                f"is not a bank of people: it has no {BANK_FILE}" if self.folder.is_dir()
+                else "is a file, and no bank of people" if self.folder.exists()
+                else "there is no such bank of people"
+            )  # fmt: skip
             raise StorageError(
-                f"is not a bank of people: it has no {BANK_FILE}",
+                what,
                 where=self.folder,
                 remedy="make one with `gn0 avatar generate --count 20 --out DIR`",
             )
@@ -254,16 +267,26 @@ class AvatarBank:
         return self._known[name]
 
 
-def open_avatars(source: Path | str, name: str = "") -> list[Avatar]:
-    """The avatars of a bank, one of them by its name, or that of a file.
+def open_avatars(source: Path | str, name: str = "", *, first: bool = False) -> list[Avatar]:
+    """The avatars of a bank, one of them by its name or its first alone, or that of a file.
 
     A file is one of ours (`.npz`), or splats with a `binding.npz` beside them.
 
     Raises:
         StorageError, FormatError: there is nothing of that name, or it is damaged.
+        ConfigError: a name is given beside the file of one avatar.
     """
     path = plain_path(source)
-    if path.is_file() and not name:
+    if path.is_file():
+        if name:
+            raise ConfigError(
+                f"{name[:80]!r} is chosen, and {path} is the file of one avatar",
+                where="--name",
+                remedy="leave the name out, or give the folder of the bank",
+            )
         return [load_avatar(path) if path.suffix == ".npz" else load_splat_person(path)]
     bank = AvatarBank(path)
-    return [bank.load(one) for one in ([name] if name else bank.names)]
+    if not bank.names:
+        raise FormatError("lists nobody", file=path / BANK_FILE, remedy=_REMEDY)
+    chosen = [name] if name else bank.names[:1] if first else bank.names
+    return [bank.load(one) for one in chosen]

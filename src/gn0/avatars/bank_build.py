@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from gn0.avatars.avatar import Avatar
 from gn0.avatars.bank import (
     BANK_FILE,
     LAYOUT,
+    AvatarBank,
     BankEntry,
     BankList,
     digest_avatar,
@@ -35,6 +40,7 @@ from gn0.version import source_version
 JOURNAL_FILE = "bank.journal"
 # what decides the bytes: half a bank is not gone on with by other code
 _DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
+_NAME = re.compile(r"[\w-]{1,60}")
 _BUILD = "gn0.avatars.bank_build:build_bank_avatar"
 
 
@@ -118,6 +124,67 @@ def generate_bank(
         )  # fmt: skip
         write_json(out / BANK_FILE, msgspec.to_builtins(listed))
     return listed
+
+
+def join_bank(path: Path | str, avatar: Avatar) -> BankList:
+    """Write an avatar to NAME.npz, and list it by that name in the bank of that folder.
+
+    A folder that holds no list becomes a bank; the list is in the order of names, however it grew.
+
+    Args:
+        path: the avatar's file, `BANK/NAME.npz`.
+        avatar: who it is.
+
+    Raises:
+        ConfigError: a name that none has, a bank of generated people, or one that has another
+            person of that name.
+        StorageError, FormatError, DataError: see `save_avatar` and `AvatarBank`.
+    """
+    path = plain_path(path)
+    folder, name = path.parent, path.stem
+    if path.suffix != ".npz" or not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{path.name[:80]!r} names no person of a bank", where=folder,
+            remedy="call the file NAME.npz, of letters, digits, - and _",
+        )  # fmt: skip
+    avatar = replace(avatar, name=name)
+    check_contained(folder)
+    if (folder / JOURNAL_FILE).exists():
+        raise ConfigError(
+            "is a bank of generated people, which is made whole from its seed", where=folder,
+            remedy="put people of your own into another folder",
+        )  # fmt: skip
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(error, folder, "make the folder") from error
+    with lock_folder(folder, writer="bank"):
+        known = AvatarBank(folder).list.avatars if (folder / BANK_FILE).exists() else []
+        before = next((entry for entry in known if entry.name == name), None)
+        if before is not None and before.digest != digest_avatar(_as_read(avatar)):
+            raise ConfigError(
+                f"has another person called {name!r}", where=folder, remedy="choose another name"
+            )
+        kept = save_avatar(path, avatar)
+        entry = BankEntry(
+            name=name, splats=len(kept), digest=digest_avatar(kept), record=kept.record,
+            source=kept.source, licence=kept.licence,
+        )  # fmt: skip
+        entries = sorted(
+            [*(one for one in known if one.name != name), entry], key=lambda one: one.name
+        )
+        listed = BankList(
+            layout=LAYOUT, made={"by": "import"}, avatars=entries,
+            hash=content_hash(*(one.digest for one in entries)),
+        )  # fmt: skip
+        write_json(folder / BANK_FILE, msgspec.to_builtins(listed))
+    return listed
+
+
+def _as_read(avatar: Avatar) -> Avatar:
+    """The avatar as its file would give it back."""
+    with tempfile.TemporaryDirectory() as folder:
+        return save_avatar(Path(folder) / "one.npz", avatar)
 
 
 def build_bank_avatar(payload: dict[str, Any]) -> dict[str, Any]:

@@ -13,13 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.body import SHAPE_SPACES, BodyModel
 from gn0.avatars.body_file import load_body
 from gn0.avatars.layer import PARTS
+from gn0.avatars.motion.retarget import check_joints
 from gn0.avatars.npz_arrays import ArrayFile, write_arrays
-from gn0.avatars.skeleton import INDEX, JOINT_COUNT
+from gn0.avatars.skeleton import INDEX, JOINT_COUNT, JOINTS
 from gn0.avatars.skinning import SkinWeights, pack_weights, pose_joints, unskin_points
 from gn0.avatars.surfels import blended_turns
 from gn0.errors import DataError, FormatError
@@ -42,6 +44,9 @@ _TALL = (0.5, 2.6)  # what a person may measure in T-pose [m]
 _WIDE, _DEEP = 3.0, 1.5  # and from hand to hand and front to back, at most [m]
 _STRAY = 0.005  # share of splats that may lie beyond on either side
 _SHIN = 0.15  # m below a knee from where a leg has splats of its own
+_REACH, _LARGE = 3.2, 1.0  # m from the middle, and across, beyond which no splat is a person's
+_OFF = 0.5  # m that a joint may lie outside of the splats' box
+_HEAVY = 1e6  # no skin weight is more; LHM's are shares, others' of 255
 
 
 def save_splat_person(folder: Path | str, avatar: Avatar) -> Path:
@@ -125,6 +130,12 @@ def load_splat_person(
         )
     index = arrays.read_floats("weights_idx", (count, None))
     weight = arrays.read_floats("weights", (count, index.shape[1]))
+    if count and np.abs(weight).max() > _HEAVY:
+        row = int(np.abs(weight).max(axis=1).argmax())
+        raise FormatError(
+            f"row {row} has a weight of {np.abs(weight[row]).max():g}", file=side, field="weights",
+            remedy="weights are shares that sum to 1, or to 255",
+        )  # fmt: skip
     if count and (
         index.min() < 0 or index.max() >= JOINT_COUNT or (index != np.floor(index)).any()
     ):
@@ -141,6 +152,7 @@ def load_splat_person(
         )
     betas = arrays.read_floats("betas", (None,)) if "betas" in arrays else np.zeros(0)
     space = _word(arrays, "shape_space", "gn0")
+    _check_size(cloud, file)
     joints = _joints(arrays, side, betas, space, body)
     dense = np.zeros((count, JOINT_COUNT))
     np.add.at(dense, (np.arange(count)[:, None], index.astype(np.int64)), weight)
@@ -158,12 +170,13 @@ def load_splat_person(
             points = unskin_points(points, weights, transforms)
             back = blended_turns(weights, transforms).transpose(0, 2, 1)
             quats = quaternion_from_rotation(back @ rotation_from_quaternion(quats))
+    _check_joints(joints, points, side, "joints" if "joints" in arrays else "betas")
     _check_person(points, dense, joints, file)
     rest = replace(
         cloud, means=points.astype(np.float32), quats=quats.astype(np.float32), normal=None
     )
     normals = (
-        arrays.read_floats("normals", (count, 3)) if "normals" in arrays
+        _normals(arrays, count) if "normals" in arrays
         else _turned_outward(rest, weights, joints)
     )  # fmt: skip
     part = (
@@ -226,10 +239,84 @@ def _check_person(points: F64, dense: F64, joints: F64, file: Path) -> None:
         )
 
 
+def _check_size(cloud: GaussianCloud, file: Path) -> None:
+    """Refuse a splat so far off or so large that an avatar's file could not hold it.
+
+    Raises:
+        FormatError: names the first.
+    """
+    far = np.abs(cloud.means).max(axis=1) > _REACH
+    large = cloud.scales.max(axis=1) > _LARGE
+    if far.any():
+        row = int(np.argmax(far))
+        raise FormatError(
+            f"splat {row} lies {np.linalg.norm(cloud.means[row]):.1f} m off the middle of the "
+            f"body ({far.sum()} so far off)",
+            file=file,
+            remedy="leave out what is not of the person",
+        )
+    if large.any():
+        row = int(np.argmax(large))
+        raise FormatError(
+            f"splat {row} is {cloud.scales[row].max():.1f} m large ({large.sum()} so large)",
+            file=file,
+            remedy="leave out what is not of the person",
+        )
+
+
+def _check_joints(joints: F64, points: NDArray[np.floating], side: Path, field: str) -> None:
+    """Refuse joints [55, 3] m that are not those of somebody who stands where the splats are.
+
+    Raises:
+        FormatError: names the joint that lies farthest off, or says how joints stand.
+    """
+    low, high = points.min(axis=0) - _OFF, points.max(axis=0) + _OFF
+    off = np.maximum(np.maximum(low - joints, joints - high), 0.0).max(axis=1)
+    worst = int(np.argmax(off))
+    if off[worst] > 0:
+        name = JOINTS[worst].removesuffix("_smplhf").replace("_", " ")
+        raise FormatError(
+            f"the {name} lies {off[worst] + _OFF:.3g} m off the splats",
+            file=side,
+            field=field,
+            remedy="joints are in metres, y up, in the frame of the splats after T_align and scale",
+        )
+    try:
+        check_joints(joints)
+    except DataError as error:
+        raise FormatError(error.what, file=side, field=field, remedy=error.remedy) from None
+
+
+def _normals(arrays: ArrayFile, count: int) -> F64:
+    """The normals [N, 3] of a binding, which have to point somewhere."""
+    found = arrays.read_floats("normals", (count, 3))
+    length = np.linalg.norm(found, axis=1, keepdims=True)
+    if count and not length.min() > 1e-3:
+        raise FormatError(
+            f"row {int(length.argmin())} points nowhere", file=arrays.path, field="normals",
+            remedy="give unit normals, or leave them out",
+        )  # fmt: skip
+    unit: F64 = found / length
+    return unit
+
+
+def _scale(arrays: ArrayFile) -> float:
+    """How many metres a unit of the splats is."""
+    if "scale" not in arrays:
+        return 1.0
+    found = arrays.read("scale", 65_536)
+    if found.dtype.kind not in "fiu" or found.size != 1:
+        raise FormatError(
+            "this is not a number", file=arrays.path, field="scale",
+            remedy="write one number: how many metres a unit of the splats is",
+        )  # fmt: skip
+    return float(found.reshape(-1)[0])
+
+
 def _aligned(cloud: GaussianCloud, arrays: ArrayFile, side: Path) -> GaussianCloud:
     """The splats in the body's frame: x' = scale · R x + t."""
     matrix = arrays.read_floats("T_align", (4, 4)) if "T_align" in arrays else np.eye(4)
-    scale = float(arrays.read("scale").reshape(-1)[0]) if "scale" in arrays else 1.0
+    scale = _scale(arrays)
     turn = matrix[:3, :3]
     if not (np.isfinite(scale) and scale > 0) or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-4:
         raise FormatError(
@@ -253,7 +340,7 @@ def _joints(arrays: ArrayFile, side: Path, betas: F64, space: str, body: BodyMod
             "it names a shape of SMPL-X, but no joints",
             file=side,
             field="joints",
-            remedy="name the body that the shape is of: load_smplx_body(SMPLX_NEUTRAL.npz)",
+            remedy="name the body that the shape is of: --body SMPLX_NEUTRAL.npz",
         )
     try:
         return (body or load_body()).shape(betas, space).joints

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -43,42 +44,56 @@ class Args(Config, frozen=True):
     ply: bool = False
 
 
+def find_stale_frames(out: Path, count: int) -> list[str]:
+    """Names of the frames in a folder that so many new ones would leave there."""
+    found = [path.stem[5:] for path in out.glob("frame[0-9]*.ply")]
+    return [
+        f"frame{digits}.ply"
+        for digits in sorted(found)
+        if re.fullmatch("[0-9]{5,9}", digits) and int(digits) > count
+    ]
+
+
 def run(args: Args) -> int:
     """Pose, draw and write; say what was made."""
-    from gn0.avatars.bank import AvatarBank, load_avatar
+    from gn0.avatars.bank import open_avatars
     from gn0.avatars.held import hold_thing
     from gn0.avatars.motion.legs import measure_build
     from gn0.avatars.motion.lhm import save_lhm_document
     from gn0.avatars.motion.library import CLIPS, ClipLibrary
     from gn0.avatars.motion.open_motion import load_motion
     from gn0.avatars.motion.play import play_motion
+    from gn0.avatars.motion.retarget import put_on_floor
     from gn0.cli.console import draw_progress
-    from gn0.errors import ConfigError
+    from gn0.errors import ConfigError, StorageError
     from gn0.gaussians.ply import save_ply
     from gn0.storage import check_writable
     from gn0.viewer.avatar_film import write_film
 
-    source = Path(args.source)
-    if args.motion not in CLIPS and not Path(args.motion).exists():
+    if args.motion not in CLIPS and not (args.motion and Path(args.motion).exists()):
         raise ConfigError(
             f"{args.motion!r} is neither a clip of the library nor a file",
             where="--motion",
             remedy=f"clips are {', '.join(CLIPS)}",
         )
-    if source.is_file() and not args.name:
-        avatar = load_avatar(source)
-    else:
-        bank = AvatarBank(source)
-        avatar = bank.load(args.name or bank.names[0])
+    (avatar,) = open_avatars(args.source, args.name, first=True)
     if args.motion in CLIPS:
         build = measure_build(avatar.joints, avatar.points, avatar.weights)
         motion = ClipLibrary(build, args.seed, args.seat).motion(args.motion, args.speed)
         avatar = hold_thing(avatar, args.motion)
     else:
-        motion = load_motion(args.motion, avatar.joints)
+        motion = put_on_floor(load_motion(args.motion, avatar.joints), avatar.joints)
     played = play_motion(motion, args.fps, args.seconds)
     out = Path(args.out)
     check_writable(out / "smplx.json")
+    stale = find_stale_frames(out, len(played) if args.ply else 0)
+    if stale:
+        raise StorageError(
+            f"holds frames of another animation ({stale[0]} to {stale[-1]}), which would stay "
+            "beside this one's",
+            where=out,
+            remedy="choose another --out, or remove them",
+        )
     save_lhm_document(out / "smplx.json", played, avatar.betas, avatar.shape_space, avatar.joints)
     with draw_progress() as progress:
         if args.ply:

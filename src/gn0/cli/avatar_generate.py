@@ -27,7 +27,7 @@ class Args(Config, frozen=True):
         density: splats a person, relative to about 35,000.
         workers: people made at a time.
         executor: process on this machine, or ray.
-        sheet: draw all of them, front and back, into people.jpg.
+        no_sheet: do not draw all of them, front and back, into people.jpg.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
@@ -37,7 +37,7 @@ class Args(Config, frozen=True):
     density: Annotated[float, msgspec.Meta(ge=0.02, le=4.0)] = 1.0
     workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     executor: Literal["process", "ray"] = "process"
-    sheet: bool = True
+    no_sheet: bool = False
     fresh: bool = False
 
 
@@ -61,7 +61,7 @@ def run(args: Args) -> int:
             args.out, count=args.count, seed=args.seed, density=args.density, workers=args.workers,
             executor=args.executor, progress=progress,
         )  # fmt: skip
-        if args.sheet:
+        if not args.no_sheet:
             bank = AvatarBank(args.out)
             sheet = draw_avatars([bank.load(name) for name in bank.names], progress=progress)
             write_atomic(picture, lambda stream: sheet.save(stream, "JPEG", quality=88))
@@ -70,5 +70,5 @@ def run(args: Args) -> int:
         print(f"{key:<8}" + ", ".join(f"{n} {word}" for word, n in counts.most_common()))
     splats = [entry.splats for entry in listed.avatars]
     print(f"splats  {min(splats):,} to {max(splats):,}")
-    print(f"written to {args.out}" + (f"; look at {picture}" if args.sheet else ""))
+    print(f"written to {args.out}" + (f"; look at {picture}" if not args.no_sheet else ""))
     return 0

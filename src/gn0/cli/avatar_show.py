@@ -20,7 +20,7 @@ class Args(Config, frozen=True):
     Attributes:
         source: a bank, or the file of one avatar.
         name: one avatar of the bank; all without it.
-        out: the PNG to write.
+        out: the picture to write, .png or .jpg.
     """
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="BANK")]
@@ -32,8 +32,9 @@ def run(args: Args) -> int:
     """Draw and write; say what is in it."""
     from gn0.avatars.bank import open_avatars
     from gn0.cli.console import draw_progress
+    from gn0.cli.picture_file import check_picture, write_picture
     from gn0.counted import counted
-    from gn0.storage import check_writable, write_atomic
+    from gn0.storage import check_writable
     from gn0.viewer.avatar_sheet import (
         describe_avatar,
         draw_avatars,
@@ -42,6 +43,7 @@ def run(args: Args) -> int:
     )
 
     out = Path(args.out)
+    check_picture(args.out)
     check_writable(out)
     avatars = open_avatars(args.source, args.name)
     with draw_progress() as progress:
@@ -49,7 +51,7 @@ def run(args: Args) -> int:
             sheet = draw_portrait(avatars[0])
         else:
             sheet = draw_avatars(avatars, progress=progress)
-    write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
+    write_picture(args.out, sheet)
     if len(avatars) == 1:
         for key, value in list_record(avatars[0].record):
             print(f"{key:<16}{value}")

@@ -201,6 +201,7 @@ def read_settings(args: Args) -> MissionSettings:
                 where=flag,
                 remedy="add --types follow, or goal,follow",
             )
+    _check_people(plain, args)
     try:
         return msgspec.convert(plain, MissionSettings)
     except msgspec.ValidationError as error:
@@ -209,8 +210,33 @@ def read_settings(args: Args) -> MissionSettings:
         flag = f"--{name}" if name else "settings"
         choices = {"--missions": MissionKind, "--levels": FollowLevelName, "--styles": RouteStyle}
         words = ", ".join(get_args(choices.get(flag)))
+        flag = "--types, --missions" if flag == "--missions" else flag  # one flag of two names
         remedy = f"choose of {words}" if words else "see `gn0 missions generate --help`"
         raise ConfigError(what, where=flag, remedy=remedy) from None
+
+
+def _check_people(plain: dict[str, Any], args: Args) -> None:
+    """Refuse people who would be in no mission.
+
+    Raises:
+        ConfigError: names the flag.
+    """
+    from gn0.errors import ConfigError
+
+    count = plain.get("people", {"count": 0}).get("count", 1)
+    if args.people_seed is not None and count == 0:
+        raise ConfigError(
+            "says who people are, and none are asked for",
+            where="--people-seed",
+            remedy="add --people N",
+        )
+    if count != 0 and list(plain["missions"]) == ["follow"]:
+        raise ConfigError(
+            "is of missions to a goal or along a route; missions to follow bring their own people",
+            where="--people" if args.people else "people of the settings",
+            remedy="choose --levels, or give follow: {count: 5} in a --spec file; or make both "
+            "kinds, --types goal,follow",
+        )
 
 
 def read_options(given: Sequence[str]) -> dict[str, Any]:

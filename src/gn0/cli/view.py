@@ -184,6 +184,18 @@ def find_view(args: Args) -> Any:
         raise ConfigError(
             "people are put into a scene", where="--people", remedy="gn0 view SCENE --people 3"
         )
+    if args.people_seed and not args.people:
+        raise ConfigError(
+            "says who people are, and none are asked for",
+            where="--people-seed",
+            remedy="gn0 view SCENE --people 3 --people-seed 1",
+        )
+    if args.bank and (first / "scene.json").is_file() and not args.results:
+        raise ConfigError(
+            "is of the people of a suite's episode, and people of a scene are drawn from a seed",
+            where="--bank",
+            remedy="gn0 view SUITE --bank DIR",
+        )
     if args.results or (first / "summary.json").is_file():
         from gn0.viewer.recorded_runs import load_replay
         from gn0.viewer.replay_live import ReplayView

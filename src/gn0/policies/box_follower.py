@@ -31,6 +31,7 @@ WIDE = 38.0  # degrees off the axis that a person may come by a detour
 REACHED = 0.3  # m from a place that is looked for
 BEYOND = 1.6  # m that it walks on from the last place, where the person went
 CIRCLE = 24  # turns of 15 degrees
+_KEPT = (0.5, 5.0)  # m that may be asked for; two bodies touch at 0.5
 
 
 @dataclass(frozen=True)
@@ -279,7 +280,10 @@ class PolicyBoxFollower:
 
     Args:
         preset: the camera and the body, by name.
-        distance: to keep [m].
+        distance: to keep [m], 0.5 to 5.
+
+    Raises:
+        PolicyError: no such camera, or a distance out of range.
     """
 
     name = "box_follower"
@@ -287,7 +291,15 @@ class PolicyBoxFollower:
 
     def __init__(self, preset: str = "follower", distance: float = BoxGains.distance) -> None:
         self._preset = find_preset(preset)
-        self._gains = BoxGains(distance=distance)
+        low, high = _KEPT
+        number = isinstance(distance, int | float) and not isinstance(distance, bool)
+        if not number or not low <= distance <= high:
+            raise PolicyError(
+                f"keeps a distance of {distance!r}",
+                where="box_follower, distance",
+                remedy=f"give metres, {low:g} to {high:g}",
+            )
+        self._gains = BoxGains(distance=float(distance))
         self._follower: BoxFollower | None = None
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:

@@ -395,8 +395,7 @@ def _put_together(
             f"nobody can be followed along any of {sum(r.paths for r in reports)} paths in "
             f"{len(entries)} scenes: {_why_nobody(reports)}",
             where=out,
-            remedy="ask for more paths, longer ones, or other --levels; a body of 0.5 m/s follows "
-            "nobody faster than 0.4 m/s: try --agent follower",
+            remedy=what_then(reports),
         )
     used = [(e, p) for e, p, r in zip(entries, parts, reports, strict=True) if r.episodes]
     for number, (entry, _) in enumerate(used):
@@ -509,8 +508,28 @@ def _why_none(reports: Sequence[SceneReport]) -> str:
     return told or notes or "there are no targets"
 
 
-def _why_nobody(reports: Sequence[SceneReport]) -> str:
+def what_then(reports: Sequence[SceneReport]) -> str:
+    """What to try where nobody can be followed; first of all what most of them fell by."""
+    words = (
+        "ask for more paths, longer ones, or other --levels; a body of 0.5 m/s follows nobody "
+        "faster than 0.4 m/s: try --agent follower"
+    )
+    fell = _count_fell(reports)
+    if fell and max(fell, key=fell.__getitem__) == "walls":
+        return (
+            "people keep 0.3 m off walls, and paths of a thin body come nearer: try "
+            "--safety-margin 0.12; or " + words
+        )
+    return words
+
+
+def _count_fell(reports: Sequence[SceneReport]) -> Counter[str]:
     fell: Counter[str] = Counter()
     for report in reports:
         fell.update(report.follow_fell)
+    return fell
+
+
+def _why_nobody(reports: Sequence[SceneReport]) -> str:
+    fell = _count_fell(reports)
     return ", ".join(f"{n} {name}" for name, n in fell.most_common(4)) or "nobody was drawn"

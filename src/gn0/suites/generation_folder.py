@@ -17,7 +17,7 @@ import msgspec
 
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, StorageError
-from gn0.locked_folder import lock_folder, sweep_folder
+from gn0.locked_folder import check_folder, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.missions.generate.follow_tracks import TRACKS
 from gn0.missions.generate.scene_paths import SceneReport
@@ -115,8 +115,13 @@ class Totals(Config, frozen=True):
 
 
 def clear_folder(out: Path, request: GenerationRequest) -> None:
-    """Remove an earlier generation that was another one."""
+    """Remove an earlier generation that was another one.
+
+    Raises:
+        StorageError: something else is there.
+    """
     check_contained(out)
+    check_folder(out)
     marks = (out / MANIFEST, out / WORK / REQUEST)
     if not out.exists() or not any(out.iterdir()) or _request_in(out) == request:
         return
@@ -152,6 +157,7 @@ def find_finished(out: Path, request: GenerationRequest) -> Manifest | None:
         BenchError: another generation is there.
         StorageError: something else is.
     """
+    check_folder(out)
     if not out.exists() or not any(out.iterdir()):
         return None
     found = _request_in(out)

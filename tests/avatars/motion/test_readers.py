@@ -319,6 +319,26 @@ def test_who_leaves_the_floor_is_told_of_whatever_the_format(tmp_path):
     assert notes["flies"] == ["leaves the floor: at times the lower foot is 4.00 m above it"]
 
 
+def test_centimetres_and_other_axes_are_told(tmp_path):
+    """What is read in metres and z up says so where it cannot be."""
+    stands = np.zeros((30, 165))
+    stands[:, 0] = np.pi / 2
+    way = np.zeros((30, 3))
+    way[:, 1] = np.linspace(0.0, 1.0, 30)
+    cases = {"metres": (stands, way), "centimetres": (stands, 100 * way), "y_up": (0 * stands, way)}
+    notes = {}
+    for name, (poses, trans) in cases.items():
+        np.savez(tmp_path / f"{name}.npz", poses=poses, trans=trans, mocap_frame_rate=30.0)
+        notes[name] = " ".join(load_motion(tmp_path / f"{name}.npz").notes)
+    assert "centimetres" not in notes["metres"] and "stand" not in notes["metres"]
+    assert "goes at 103 m/s: trans is read in metres" in notes["centimetres"]
+    assert "does not stand in a file that is read with z up" in notes["y_up"]
+    turned = np.zeros((30, 165))
+    turned[:, 0] = np.pi
+    np.save(tmp_path / "camera.npy", turned)
+    assert "upside down" in " ".join(load_motion(tmp_path / "camera.npy").notes)
+
+
 def test_lhm_frames(tmp_path):
     folder = tmp_path / "clip" / "smplx_params"
     folder.mkdir(parents=True)

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.avatars.motion.motion import FAR, TURNS, Motion, build_motion, check_finite
-from gn0.avatars.motion.smplx_motion import PLAIN_FPS, Y_DOWN, turn_frame
+from gn0.avatars.motion.smplx_motion import (
+    PLAIN_FPS,
+    Y_DOWN,
+    tell_pace,
+    tell_posture,
+    turn_frame,
+)
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
 from gn0.avatars.skeleton import JOINT_COUNT
 from gn0.errors import FormatError
@@ -231,5 +237,9 @@ def _motion(
         fps=fps,
         hip_height=hip_height_of(body),
         name=name,
-        notes=tuple(notes),
+        notes=(
+            *notes,
+            *tell_posture(poses, "though y is taken to be down: perhaps it is not a camera's"),
+            *tell_pace(shift, fps),
+        ),
     )

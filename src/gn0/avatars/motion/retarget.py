@@ -49,6 +49,7 @@ _UNITS = (
     (1.0, "metres"), (0.01, "centimetres"), (0.1, "decimetres"), (0.001, "millimetres"),
     (0.0254, "inches"), (0.3048, "feet"), (_CMU, "the units of CMU (0.0564 m)"),
 )  # fmt: skip
+_NEAR_FLOOR = 0.05  # m
 _ADULT = (0.7, 1.35)  # m, hips of adults, tall cartoons included
 
 
@@ -279,6 +280,20 @@ def _unit_note(rig: RigMotion, hips: float) -> str:
 def tell_lift(motion: Motion, rest: F64) -> Motion:
     """The same motion, which says so where both feet of a body [55, 3] m leave the floor."""
     return replace(motion, notes=(*motion.notes, *_lift(motion, rest)[1]))
+
+
+def put_on_floor(motion: Motion, rest: F64) -> Motion:
+    """The same motion of a body [55, 3] m, its lowest foot on the floor; a note if it moved.
+
+    What a camera saw knows no floor, and a capture's is that of another body. Within 5 cm it stays.
+    """
+    down, _ = _lift(motion, rest)
+    if abs(down) <= _NEAR_FLOOR:
+        return motion
+    side = "above" if down > 0 else "under"
+    note = f"was {abs(down):.2f} m {side} the floor: its lowest foot is put on it"
+    shift = motion.shift - [0.0, down, 0.0]
+    return replace(motion, shift=shift, notes=(*motion.notes, note))
 
 
 def _put_on_floor(motion: Motion, rest: F64) -> Motion:

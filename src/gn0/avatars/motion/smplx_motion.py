@@ -36,6 +36,7 @@ _BODY = 22  # joints that all of the family have
 _HANDS = INDEX["left_index1"]
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _PARTS = ("root_orient", "pose_body")
+_FASTEST = 12.5  # m/s that a person has run
 
 
 def turn_frame(
@@ -55,6 +56,25 @@ def turn_frame(
     turned = np.array(poses, np.float64)
     turned[:, 0] = vectors_of_quats(multiply(quats_of_matrices(turn), quats_of(turned[:, 0])))
     return turned, (np.asarray(shift, np.float64) + pelvis) @ turn.T - pelvis
+
+
+def tell_posture(poses: F64, where: str) -> tuple[str, ...]:
+    """A note where most of the poses [T, 55, 3], in y up, do not stand; `where` says in what."""
+    up = matrices_of(quats_of(poses[:, 0]))[:, 1, 1]
+    standing = float(np.median(up)) if len(up) else 1.0
+    if standing < -0.5:
+        return ("upside down: perhaps its frame is a camera's, with y down, as LHM's frames have",)
+    return (f"does not stand {where}",) if standing < 0.5 else ()
+
+
+def tell_pace(shift: F64, fps: float) -> tuple[str, ...]:
+    """A note where a way [T, 3] m is faster than any person's, as one in centimetres is."""
+    if len(shift) < 2 or not fps > 0:
+        return ()
+    pace = float(np.quantile(np.linalg.norm(np.diff(shift, axis=0), axis=1), 0.9)) * fps
+    if not pace > _FASTEST:
+        return ()
+    return (f"goes at {pace:.0f} m/s: trans is read in metres, perhaps it is in centimetres",)
 
 
 def is_smpl(names: frozenset[str]) -> bool:
@@ -88,6 +108,7 @@ def decode_smplx_npz(arrays: ArrayFile, joints: NDArray[np.floating] | None = No
         raise arrays.refuse(f"{len(shift)} places for {len(poses)} poses", field="trans")
     _check_numbers(poses, shift, file)
     poses, shift = turn_frame(poses, shift, Z_UP, body[0])
+    posture = tell_posture(poses, "in a file that is read with z up: perhaps y is up there")
     model = arrays.text("surface_model_type") or ("smplh" if _width(arrays) == 156 else "smplx")
     return build_motion(
         file,
@@ -96,7 +117,11 @@ def decode_smplx_npz(arrays: ArrayFile, joints: NDArray[np.floating] | None = No
         fps=fps,
         hip_height=hip_height_of(body),
         name=Path(file).stem,
-        notes=(f"{model[:20]}, z up; its betas are left: they shape another body than ours",),
+        notes=(
+            f"{model[:20]}, z up; its betas are left: they shape another body than ours",
+            *posture,
+            *tell_pace(shift, fps),
+        ),
     )
 
 
@@ -183,13 +208,14 @@ def decode_plain_poses(
     poses = widen_poses(flat, file)
     shift = np.zeros((len(poses), 3))
     _check_numbers(poses, shift, file)
-    up = matrices_of(quats_of(poses[:, 0]))[:, 1, 1]
-    notes = [f"a plain array says no rate: {PLAIN_FPS:g} frames a second were taken; on the spot"]
-    standing = float(np.median(up)) if len(up) else 1.0
-    if standing < -0.5:
-        notes.append("upside down in a frame with y up: perhaps it is a camera's, with y down")
-    elif standing < 0.5:
-        notes.append("does not stand in a frame with y up: perhaps z is up there")
+    notes = [
+        f"a plain array says no rate: {PLAIN_FPS:g} frames a second were taken; on the spot",
+        *tell_posture(
+            poses,
+            "in a frame with y up: perhaps z is up there, as in an .npz of poses, trans and "
+            "mocap_frame_rate",
+        ),
+    ]
     return build_motion(
         file,
         poses=poses,

@@ -289,6 +289,7 @@ class Simulator:
         self._history.clear()
         self._last_look: tuple[Pose2D, bytes, dict[str, NDArray[Any]]] | None = None
         self._last_who: tuple[Pose2D, bytes, tuple[U8, F32]] | None = None
+        self._last_moment: tuple[tuple[object, ...], Moment] | None = None
         self._goal_picture: U8 | None = None
         self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
         return self._observe()
@@ -465,7 +466,7 @@ class Simulator:
         self._steps, self._collided, self._over = state.steps, state.collided, state.over
         self._spent = state.steps if state.spent is None else state.spent
         self._history = History(state.tiles, self.config.preset.history_tile)
-        self._last_look = self._last_who = None
+        self._last_look = self._last_who = self._last_moment = None
         self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)
 
@@ -504,10 +505,14 @@ class Simulator:
         moment = self._suite.moment_at(self.agent.time_after(self._spent))
         if not self._company or self._people is None:
             return moment
-        parts, self._numbers, key = self._people.show(
-            self._company, pose, self.config.preset.rgb.fx, self._suite.sight
-        )
-        return Moment(moment.time, (*moment.parts, *parts), key)
+        state = self._company.state
+        now = pose, moment.time, state.real.tobytes(), state.whole.tobytes()
+        if self._last_moment is None or self._last_moment[0] != now:
+            parts, self._numbers, key = self._people.show(
+                self._company, pose, self.config.preset.rgb.fx, self._suite.sight
+            )
+            self._last_moment = now, Moment(moment.time, (*moment.parts, *parts), key)
+        return self._last_moment[1]
 
     def _show_people(self, renderer: DrawnScene, episode: Episode) -> None:
         """Make sure that the people of an episode can be shown.
@@ -551,6 +556,7 @@ class Simulator:
         moment = self._suite.moment_at(self.agent.time_after(self._spent))
         if not self._company or self._people is None:
             return moment.parts
+        self._last_moment = None  # those clouds may go
         return (*moment.parts, *self._people.show(self._company, pose, focal)[0])
 
     def _who(self, pose: Pose2D, moment: Moment) -> tuple[U8, F32]:

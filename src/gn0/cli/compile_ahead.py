@@ -1,9 +1,9 @@
 """Compile the kernels that a job will need, in processes beside it, on idle cores.
 
 A fresh machine compiles every kernel once, and one process compiles one at a time. So others
-compile what the job is known to call (`gn0.kernels.kernel_list`), from the end of that list: the job
-itself begins at its front, and where they meet all is there. What was compiled stays in the cache,
-so whoever is stopped goes on there the next time.
+compile what the job is known to call (`gn0.kernels.kernel_list`), from the end of that list: the
+job itself begins at its front, and where they meet all is there. What was compiled stays in the
+cache, so whoever is stopped goes on there the next time.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gn0.cli.main import main
-from gn0.cli.train_flags import resolve_start
+from gn0.cli.train_flags import resolve_start, train_stage
 from gn0.cli.train_rl import Args as ArgsRl
 from gn0.errors import CheckpointError
 
@@ -75,3 +75,20 @@ def test_the_folder_of_a_run_stands_for_its_policy(tmp_path: Path) -> None:
     assert resolve_start(flags).start == str(run / "policy")
     whole = ArgsRl(suite=("suite",), out="out", start=str(run / "policy"))
     assert resolve_start(whole) == whole
+
+
+def test_who_stops_a_run_is_told_where_it_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def train(*_: object, **__: object) -> Path:
+        raise KeyboardInterrupt
+
+    flags = ArgsRl(suite=("suite",), out=str(tmp_path), start="policy")
+    with pytest.raises(KeyboardInterrupt):
+        train_stage(flags, train, flags)
+    assert "no checkpoint yet (--save)" in capsys.readouterr().out
+    (state := tmp_path / "checkpoints" / "step-000001200").mkdir(parents=True)
+    (state / "state.json").write_text("{}")
+    with pytest.raises(KeyboardInterrupt):
+        train_stage(flags, train, flags)
+    assert "the same command goes on from step 1,200" in capsys.readouterr().out

@@ -189,7 +189,11 @@ def train_stage(
     leads = os.environ.get("RANK", "0") == "0"  # of several processes the first one speaks
     with break_silence(partial(print, flush=True) if leads else _say_nothing) as say:
         how = {"device": flags.device, "fresh": flags.fresh, "command": command, "say": say}
-        made = train(job, flags.out, **how)
+        try:
+            made = train(job, flags.out, **how)
+        except KeyboardInterrupt:
+            say(f"\n{describe_rest(Path(flags.out))}")
+            raise
     if not leads:
         return 0
     exam = flags.exam or flags.suite[0]
@@ -197,6 +201,17 @@ def train_stage(
     words = (exam, "--policy", policy, "--policy-option", f"checkpoint={made}")
     print(f"next: gn0 bench run {shlex.join(words)}")
     return 0
+
+
+def describe_rest(out: Path) -> str:
+    """Where the command of a run that was stopped goes on when it is given again."""
+    from gn0.training.runs.run_folder import CHECKPOINTS
+    from gn0.training.runs.state_folder import find_latest, read_step
+
+    latest = find_latest(out / CHECKPOINTS)
+    if latest is None:
+        return "no checkpoint yet (--save): the same command learns from the beginning"
+    return f"the same command goes on from step {read_step(latest):,}"
 
 
 def _say_nothing(line: str) -> None:

@@ -73,6 +73,12 @@ def test_the_folder_of_a_run_stands_for_its_policy(tmp_path: Path) -> None:
     (run / "policy").mkdir()
     (run / "policy" / "policy.json").write_text("{}")
     assert resolve_start(flags).start == str(run / "policy")
+    (tmp_path / "cma" / "policy").mkdir(parents=True)
+    (tmp_path / "cma" / "run.json").write_text("{}")
+    (tmp_path / "cma" / "policy" / "cma.json").write_text("{}")
+    for folder in (tmp_path / "cma", tmp_path / "cma" / "policy"):
+        with pytest.raises(CheckpointError, match="a baseline of `gn0 train baseline`"):
+            resolve_start(ArgsRl(suite=("suite",), out="out", start=str(folder)))
     whole = ArgsRl(suite=("suite",), out="out", start=str(run / "policy"))
     assert resolve_start(whole) == whole
 

@@ -293,7 +293,7 @@ study() {
   local code=0
   gn0 policy study "$HERE/ablation/study.yaml" "$OUT" --out "$OUT/ablation.md" || code=$?
   [ "$SIZE" = full ] || [ $code -gt 1 ] ||  # what the full study found, and lacks, is not said of it
-    sed -i -e '/^\*\*What it says so far/,/^$/d' -e '/^\* \*\*Shortfalls/,/^\* \*\*One rule/{/^\* \*\*One rule/!d}' \
+    sed -i -e '/^### What it says so far/,/^In miniature/{/^In miniature/!d}' -e '/^\* \*\*Shortfalls/,/^\* \*\*One rule/{/^\* \*\*One rule/!d}' \
       -e '1a \\n**In miniature: models of 2 M weights, a handful of homes and of walks. No number here means anything.**' "$OUT/ablation.md"
   return $code
 }

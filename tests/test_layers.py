@@ -20,8 +20,7 @@ SRC = Path(__file__).resolve().parent.parent / "src" / "gn0"
 FLOORS = {
     "__init__": 0, "__main__": 8,
     "errors": 0, "paper": 0, "geometry": 0, "config": 0, "storage": 0, "seeds": 0,
-    "locked_folder": 0, "plugins": 0, "progress": 0, "jit": 0, "kernel_key": 0, "cache": 0,
-    "kernel_list": 0, "kernel_types": 0, "kernel_worker": 0,
+    "locked_folder": 0, "plugins": 0, "progress": 0, "jit": 0, "kernels": 0, "cache": 0,
     "yaml_file": 0, "leftovers": 0, "version": 0, "loopback": 0, "namespace": 0,
     "remote": 0, "counted": 0,
     "gaussians": 1, "maps": 1, "jobs": 1, "device": 1,

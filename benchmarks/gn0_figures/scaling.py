@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from gn0_figures.board import Figure, FigureContext, FigureRow, FigureSkipped, row_at_least
+from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least
 from gn0_figures.device import is_emulation
 from gn0_figures.sft import make_suite
+from gn0_figures.torchrun import COUNTS, begin_within, count_cards, run_python, write_words
 
 AIMS = {2: 1.8, 4: 3.4}  # times the samples a second of one card, by cards
-CARDS = (2, 4, 8)
 ENOUGH = 480.0  # s after which nothing further is begun
-PATIENCE = 420.0  # s of a run at most
 
 
 @dataclass(frozen=True)
@@ -47,7 +40,7 @@ def plan_trials(cards: int, batch: int) -> Iterator[Trial]:
         batch: samples of a step of one card.
     """
     yield Trial(1, batch, "")
-    counts = [count for count in CARDS if count <= cards]
+    counts = [count for count in COUNTS if count <= cards]
     for some in (counts[:2], counts[2:]):
         for count in reversed(some):
             yield Trial(count, count * batch, f"{batch} a card")
@@ -57,12 +50,9 @@ def plan_trials(cards: int, batch: int) -> Iterator[Trial]:
 
 def write_command(trial: Trial, suite: Path, out: Path, flags: Sequence[str]) -> list[str]:
     """Words of a run, as a user types them behind `python`."""
-    start = ["-m"]
-    if trial.cards > 1:  # behind -- torchrun takes no flag for its own
-        start = ["-m", "torch.distributed.run", "--standalone"]
-        start += [f"--nproc-per-node={trial.cards}", "-m", "--"]
     own = ["--split", "all", "--held-out", "", "--save", "0", "--batch", str(trial.batch)]
-    return [*start, "gn0", "train", "sft", str(suite), "--out", str(out), *own, *flags]
+    sft = ["gn0", "train", "sft", str(suite), "--out", str(out), *own, *flags]
+    return write_words(trial.cards, *sft)
 
 
 def read_rate(lines: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
@@ -87,11 +77,7 @@ def measure_scaling(ctx: FigureContext) -> list[FigureRow]:
     Raises:
         FigureSkipped: fewer than two cards.
     """
-    tiny = is_emulation(ctx.device)
-    cards = 2 if tiny else torch.cuda.device_count()
-    if cards < 2:
-        raise FigureSkipped(f"needs two cards or more: torch sees {cards}")
-    began = time.perf_counter()
+    tiny, cards = is_emulation(ctx.device), count_cards(ctx)
     suite = make_suite(ctx.work, tiny)
     report, reports, batch = (1, 3, 4) if tiny else (50, 5, 512)
     flags = ["--report", str(report)]
@@ -99,9 +85,7 @@ def measure_scaling(ctx: FigureContext) -> list[FigureRow]:
         flags += ["--size", "nano", "--agents", "4", "--kept", "80", "--device", "host"]
     rows: list[FigureRow] = []
     alone = 0.0
-    for number, trial in enumerate(plan_trials(cards, batch)):
-        if number and time.perf_counter() - began > ENOUGH:
-            break
+    for number, trial in enumerate(begin_within(ENOUGH, plan_trials(cards, batch))):
         out = ctx.work / f"run-{number}"
         samples = ["--samples", str(trial.batch * report * reports)]
         run_python(write_command(trial, suite, out, [*flags, *samples]))
@@ -131,27 +115,6 @@ def _rows(trial: Trial, rate: float, alone: float, detail: str, tiny: bool) -> I
         if tiny or trial.cards not in AIMS
         else row_at_least(name, ratio, AIMS[trial.cards], "×")
     )
-
-
-def run_python(words: Sequence[str]) -> str:
-    """Run Python with these words; gives what it said.
-
-    Raises:
-        RuntimeError: it failed, or took longer than `PATIENCE`; with what it said last.
-    """
-    env = os.environ | {"OMP_NUM_THREADS": "1"}  # as torchrun sets it, also for one
-    with subprocess.Popen(
-        [sys.executable, *words], env=env, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    ) as process:  # fmt: skip
-        try:
-            said, _ = process.communicate(timeout=PATIENCE)
-        except BaseException:
-            process.terminate()  # torchrun ends its processes then; killed, it would leave them
-            raise
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(words)}: {said[-2000:]}")
-    return said
 
 
 FIGURES = [Figure("train.scaling", "SFT on several cards", measure_scaling, 8.0, backend="cuda")]

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-
 from gn0_figures.bae import LARGE_BATCH
-from gn0_figures.board import Figure, FigureContext, FigureRow, FigureSkipped
+from gn0_figures.board import Figure, FigureContext, FigureRow
 from gn0_figures.device import is_emulation
-from gn0_figures.scaling import CARDS, run_python
+from gn0_figures.torchrun import COUNTS, begin_within, count_cards, run_python, write_words
 
 ENOUGH = 200.0  # s after which nothing further is begun
 
@@ -35,7 +32,7 @@ class Trial:
 
 def plan_trials(cards: int, batch: int) -> Iterator[Trial]:
     """What is timed where there are so many cards, by worth."""
-    counts = [count for count in CARDS if count <= cards]
+    counts = [count for count in COUNTS if count <= cards]
     yield Trial(counts[-1], batch)
     yield Trial(counts[-1], batch, compiled=True)
     for count in reversed(counts[:-1]):
@@ -45,10 +42,9 @@ def plan_trials(cards: int, batch: int) -> Iterator[Trial]:
 
 def write_command(trial: Trial, small: bool) -> list[str]:
     """Words of a measurement, behind `python`."""
-    start = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={trial.cards}"]
-    words = [*start, "-m", "--", "gn0_figures.sharded_step", str(trial.batch)]
     flags = {"--compiled": trial.compiled, "--small": small}
-    return [*words, *(flag for flag, given in flags.items() if given)]
+    given = [flag for flag, is_given in flags.items() if is_given]
+    return write_words(trial.cards, "gn0_figures.sharded_step", str(trial.batch), *given)
 
 
 def measure_sharded(ctx: FigureContext) -> list[FigureRow]:
@@ -57,15 +53,10 @@ def measure_sharded(ctx: FigureContext) -> list[FigureRow]:
     Raises:
         FigureSkipped: fewer than two cards.
     """
-    small = is_emulation(ctx.device)
-    cards = 2 if small else torch.cuda.device_count()
-    if cards < 2:
-        raise FigureSkipped(f"needs two cards or more: torch sees {cards}")
-    began, rows = time.perf_counter(), list[FigureRow]()
-    trials = [Trial(2, 2)] if small else list(plan_trials(cards, LARGE_BATCH))
-    for number, trial in enumerate(trials):
-        if number and time.perf_counter() - began > ENOUGH:
-            break
+    small, cards = is_emulation(ctx.device), count_cards(ctx)
+    rows: list[FigureRow] = []
+    trials = [Trial(2, 2)] if small else plan_trials(cards, LARGE_BATCH)
+    for trial in begin_within(ENOUGH, trials):
         said = run_python(write_command(trial, small)).splitlines()
         found = json.loads(next(line for line in reversed(said) if line.startswith("{")))
         for row in list_rows(trial, found):

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from gn0.cache import trust_folder
-from gn0.kernel_key import kernel_key
+from gn0.kernels.kernel_key import kernel_key
 from gn0.storage import cache_dir
 
 _NAME = "kernel"  # of the files in a kernel's folder

@@ -177,11 +177,13 @@ def build_plugin(kind: Kind, name: str, options: Mapping[str, Any]) -> Any:
     """What the plug-in of that name makes of these options.
 
     Raises:
-        ConfigError: no such plug-in, or it has no such option.
+        ConfigError: no such plug-in, it has no such option, or it wants a number or a truth there.
     """
     factory = get_plugin(kind, name)
     try:
-        inspect.signature(factory).bind(**options)
+        signature = inspect.signature(factory)
+        signature.bind(**options)
+        _check_options(signature, options)
     except TypeError as error:
         known = ", ".join(inspect.signature(factory).parameters) or "none"
         raise ConfigError(
@@ -190,6 +192,25 @@ def build_plugin(kind: Kind, name: str, options: Mapping[str, Any]) -> Any:
     except ValueError:  # a factory without a signature
         pass
     return factory(**options)
+
+
+# how a signature writes a plain type -> what fits, and what to say of anything else
+_PLAIN: dict[object, tuple[tuple[type, ...], str]] = {
+    **dict.fromkeys((int, "int"), ((int,), "a whole number")),
+    **dict.fromkeys((float, "float"), ((int, float), "a number")),
+    **dict.fromkeys((bool, "bool"), ((bool, int), "true or false")),
+}
+
+
+def _check_options(signature: inspect.Signature, options: Mapping[str, Any]) -> None:
+    """Refuse what is no number or no truth where a plug-in says that it wants one."""
+    for name, value in options.items():
+        written = getattr(signature.parameters.get(name), "annotation", None)
+        if not isinstance(written, str | type) or written not in _PLAIN:
+            continue
+        fitting, wanted = _PLAIN[written]
+        if not isinstance(value, fitting):
+            raise ConfigError(f"{value!r} is not {wanted}", where=name, remedy=f"give {wanted}")
 
 
 def describe_error(error: BaseException) -> str:

@@ -16,8 +16,8 @@ import pytest
 
 from gn0.cli import compile_ahead as ahead
 from gn0.cli.main import KERNELS, VERBS
-from gn0.kernel_list import find_kernel, list_calls, read_list
-from gn0.kernel_types import call_text, read_type
+from gn0.kernels.kernel_list import find_kernel, list_calls, read_list
+from gn0.kernels.kernel_types import call_text, read_type
 from gn0_trials.kernel_record import JOBS, record_job
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,7 +34,7 @@ def compile_cold(cache: Path, code: str) -> str:
 
 
 COMPILE = f"""
-from gn0 import kernel_list
+from gn0.kernels import kernel_list
 kernel_list.read_list = lambda text=None: {{"walk": {SMALL!r}}}
 from gn0.cli.compile_ahead import compile_all, is_compiled
 told = []

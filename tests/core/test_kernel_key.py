@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from gn0.kernel_key import kernel_key
+from gn0.kernels.kernel_key import kernel_key
 
 SOURCE = """
 import numpy as np

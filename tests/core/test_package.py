@@ -26,6 +26,7 @@ def test_the_wheel_holds_no_figures_trials_or_tests(tmp_path: Path) -> None:
     prompts = {name for name in names if name.startswith("gn0/policies/bae/prompts/")}
     folder = ROOT / "src" / "gn0" / "policies" / "bae" / "prompts"
     assert {Path(name).name for name in prompts} == {path.name for path in folder.iterdir()}
+    assert "gn0/kernels/kernel_list.txt" in names, "an install could compile nothing ahead"
     weights = [path for path in (ROOT / "release").rglob("*") if path.is_file()]
     assert {f"gn0/release/{path.relative_to(ROOT / 'release')}" for path in weights} <= set(names)
     assert Path(path).stat().st_size < 60e6, "then the weights must lie outside of the wheel"

@@ -11,7 +11,7 @@ import pytest
 
 from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.host import DeviceHost
-from gn0.errors import DeviceError, DeviceMemoryError
+from gn0.errors import DeviceError, DeviceMemoryError, StorageError
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
@@ -170,3 +170,13 @@ def test_a_source_that_does_not_compile_says_where(tmp_path: Path) -> None:
     path.write_text("KERNEL(broken)(int *a) { a[0] = nonsense; }\n")
     with pytest.raises(DeviceError, match=r"broken\.cu:1.*nonsense"):
         DeviceHost().load(KernelSource("broken", (path,)))
+
+
+def test_a_cache_that_cannot_be_written_is_told_with_the_way_out(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "probe.cu").write_text("KERNEL(probe)(int *a) { a[0] = 1; }")
+    host = DeviceHost(1)
+    host._folder = tmp_path / "file" / "emulation"
+    with pytest.raises(StorageError, match="kernels cannot be kept: Not a directory") as caught:
+        host.build(KernelSource("probe", (tmp_path / "probe.cu",)))
+    assert "GN0_CACHE" in caught.value.remedy

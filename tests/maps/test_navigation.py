@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -163,3 +164,14 @@ def test_a_map_with_nothing_walkable():
     assert walk.region_areas.size == 0
     assert walk.nearest_free(0.1, 0.1) is None
     assert (label_regions(walk.inflated) == -1).all()
+
+
+def test_the_nearest_cell_to_a_point_a_million_kilometres_away_is_found_at_once() -> None:
+    """The ring around it was walked whole, also beside the grid: an hour for 10⁹ m."""
+    grid = OccupancyGrid(np.zeros((40, 60), np.uint8), 0.05, (0.0, 0.0))
+    began = time.monotonic()
+    for far in (1e4, 1e9, 1e300):
+        assert find_nearest_cell(grid, far, far) == (39, 59)
+        found = find_nearest_cell(grid, -far, 1.0)
+        assert found is not None and found[1] == 0  # from so far all rows are as near
+    assert time.monotonic() - began < 30.0

@@ -272,6 +272,25 @@ def test_the_line_says_rate_losses_and_time_left() -> None:
     assert [format_seconds(s) for s in (7, 725, 11045)] == ["0:07", "12:05", "3:04:05"]
 
 
+def test_a_run_of_slow_steps_says_where_it_is_between_its_reports() -> None:
+    """A step of 15 s: nothing is said of the first, then where it is, after 20 s or more."""
+    said: list[str] = []
+    now = [0.0]
+    line = ProgressLine(said.append, clock=lambda: now[0])
+    for step in range(1, 8):
+        now[0] = 15.0 * step
+        line.pulse(step, 20, 8 * step)
+    assert said == [
+        "step 3/20 · 24 samples · 0.5/s · 4:15 left",
+        "step 5/20 · 40 samples · 0.5/s · 3:45 left",
+        "step 7/20 · 56 samples · 0.5/s · 3:15 left",
+    ]
+    line.update(TrainingReport(8, 20, 64, 1.0, {}, 0.0))
+    now[0] += 10.0
+    line.pulse(9, 20, 72)
+    assert len(said) == 4
+
+
 def test_seconds_are_counted_once_for_each_card(tmp_path: Path) -> None:
     """A run that four cards began and one went on with, from a state before the last report."""
     with opened(tmp_path, processes=4, device="H100") as run:

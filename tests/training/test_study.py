@@ -755,7 +755,7 @@ def _findings() -> tuple[str, str]:
     """What the page says so far, and all that stands below."""
     page = (ROOT / "docs/ablation.md").read_text()
     head, below = page.split("\n## How it is read\n")
-    return head[head.index("**What it says so far**") : head.index("In miniature, models")], below
+    return head[head.index("### What it says so far") : head.index("In miniature, models")], below
 
 
 def test_intervals_that_the_page_speaks_of_stand_in_its_rows() -> None:

@@ -1,9 +1,9 @@
 """Compile the kernels that a job will need, in processes beside it, on idle cores.
 
 A fresh machine compiles every kernel once, and one process compiles one at a time. So others
-compile what the job is known to call (`gn0.kernel_list`), from the end of that list: the job
-itself begins at its front, and where they meet all is there. What was compiled stays in the cache,
-so whoever is stopped goes on there the next time.
+compile what the job is known to call (`gn0.kernels.kernel_list`), from the end of that list: the
+job itself begins at its front, and where they meet all is there. What was compiled stays in the
+cache, so whoever is stopped goes on there the next time.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def is_compiled(*jobs: str) -> bool:
 def _compile(
     jobs: Sequence[str], count: int, progress: Progress, ended: threading.Event
 ) -> Compiled:
-    from gn0.kernel_list import list_calls
+    from gn0.kernels.kernel_list import list_calls
 
     crew = _Crew(list_calls(*jobs), progress, ended)
     threads = [threading.Thread(target=crew.work, daemon=True) for _ in range(count)]
@@ -115,7 +115,7 @@ class _Crew:
             if self._ended.is_set() or not (self._left or self._later):
                 return
             said: queue.Queue[bytes | None] = queue.Queue()
-            worker = WorkerProcess("gn0.kernel_worker", said.put, 1, sys.path)
+            worker = WorkerProcess("gn0.kernels.kernel_worker", said.put, 1, sys.path)
             try:
                 while self._ask_next(worker, said):
                     pass
@@ -158,7 +158,7 @@ def _find_stamp(jobs: Sequence[str]) -> Path:
     """A file of the kernel cache that is there when all was compiled; elsewhere there is none."""
     from importlib.metadata import version
 
-    from gn0.kernel_list import list_calls, list_digest
+    from gn0.kernels.kernel_list import list_calls, list_digest
     from gn0.storage import cache_dir
     from gn0.version import source_version
 

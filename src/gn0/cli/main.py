@@ -78,7 +78,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "completion": ("completion", "let bash, zsh or fish complete verbs, flags and their values"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }
-# verb -> the jobs of `gn0.kernel_list` whose kernels it may need: compiled beside it, on idle cores
+# verb -> the jobs of `gn0.kernels.kernel_list` whose kernels it may need: compiled beside it, on
+# idle cores
 KERNELS: dict[str, tuple[str, ...]] = {
     "scene generate": ("scene",),
     "scene corpus": ("scene",),

@@ -81,6 +81,8 @@ def run(args: Args) -> int:
 
     check_picture(args.out)
     _check_together(args)
+    if args.pose:
+        read_pose(args.pose, "--pose")  # before scene and weights are opened for nothing
     with draw_progress("drawing") as progress:
         suite = open_suite(args.suite)
         outcomes = read_outcomes(args.from_) if args.from_ else {}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 
 from gn0.cli.comma_lists import split_words
-from gn0.cli.train_flags import CountOrNone, StageFlags, train_stage
+from gn0.cli.train_flags import CountOrNone, Minutes, StageFlags, Weight, train_stage
 from gn0.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ EXAMPLES = """  gn0 train baseline out/suite --out out/cma
   gn0 train baseline out/suite --pictures rgb,depth,near --out out/cma-maps
   gn0 train baseline out/suite --encoder efficientnet_lite0 --out out/cma-frozen
   gn0 train baseline out/suite --model seq2seq --rounds 0 --forced 1 --out out/seq2seq
-  gn0 train baseline out/suite --size nano --agents 4 --steps 8 --samples 320 --device host \\
-      --out out/tried"""
+  gn0 train baseline out/suite --split all --held-out "" --size nano --agents 4 --steps 8 \\
+      --samples 320 --device host --out out/tried"""
 
 
 class Args(StageFlags, frozen=True, kw_only=True):
@@ -46,7 +46,7 @@ class Args(StageFlags, frozen=True, kw_only=True):
             ones; as long as the longest, and at least 96, by default.
         preset: of the cameras, as in `gn0 list presets`.
         samples: states to learn from, over all rounds.
-        minutes: of training at most; rounds and the rate keep to it.
+        minutes: of training at most; rounds and the rate keep to it. 0 for no limit.
         rounds: of DAgger, after teacher forcing.
         forced: share of the samples that teacher forcing has.
         mix: p: in round r the expert drives a step with chance p^r.
@@ -70,15 +70,15 @@ class Args(StageFlags, frozen=True, kw_only=True):
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     preset: str = "tiny_128"
     samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
-    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
+    minutes: Minutes = 0
     rounds: Annotated[int, msgspec.Meta(ge=0, le=64)] = 3
     forced: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.4
     mix: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.75
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     steps: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 32
     rate: Annotated[float, msgspec.Meta(gt=0, le=1)] = 5e-4
-    turn_weight: Annotated[float, msgspec.Meta(gt=0)] = 3.2
-    progress_weight: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    turn_weight: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 3.2
+    progress_weight: Weight = 1.0
     report: Annotated[int, msgspec.Meta(ge=1)] = 20
     save: CountOrNone = 200
 

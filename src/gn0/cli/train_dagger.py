@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 
 from gn0.cli.comma_lists import read_joins, split_words
-from gn0.cli.train_flags import ImitationFlags, train_stage
+from gn0.cli.train_flags import ImitationFlags, resolve_start, train_stage
 from gn0.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ EXAMPLES = """  gn0 train dagger out/suite --start out/sft/policy --out out/dagg
   gn0 train dagger out/suite --live --start out/maps/policy --inputs all:0.5,views:0.3,maps:0.2 \\
       --beta-from 0 --beta-to 500000 --out out/every
   gn0 train dagger out/suite --live --pictures near,far --samples 50000000 --out out/from-nothing
-  gn0 train dagger out/suite --start out/sft/policy --states 4000 --agents 16 --device host \\
-      --out out/tried"""
+  gn0 train dagger out/suite --start out/sft/policy --split all --held-out "" --states 64 \\
+      --batch 8 --agents 4 --device host --out out/tried"""
 
 
 class Args(ImitationFlags, frozen=True, kw_only=True):
@@ -42,8 +42,8 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
 
     Attributes:
         suite: suite folders, as `gn0 missions generate` writes; a dataset's with --source dataset.
-        start: folder of the policy to go on from, such as out/sft/policy; may be left out with
-            --live, which then begins with random weights.
+        start: folder of the policy to go on from, or of its run, such as out/sft; bae for the one
+            in the box; may be left out with --live, which then begins with random weights.
         live: gather states while learning, with the policy in training: stage dagger_live.
         source: where states come from: walks of agents in the suites, or a dataset that
             `gn0 data dagger` collected (not with --live).
@@ -146,6 +146,7 @@ def run(args: Args) -> int:
     first = args.suite[0]
     open_dataset(first) if args.source == "dataset" else load_suite_kept(first)
     if args.start:
+        args = resolve_start(args)
         load_policy_settings(args.start)
     check_packages()
     from gn0.training.dagger import train_dagger

@@ -12,25 +12,33 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from gn0.cli.train_flags import Count, CountOrNone, PolicyFlags, train_stage
+from gn0.cli.train_flags import (
+    Count,
+    CountOrNone,
+    Minutes,
+    PolicyFlags,
+    Rate,
+    Weight,
+    resolve_start,
+    train_stage,
+)
 
 EXAMPLES = """  gn0 train dapo out/suite --start out/dagger/policy --out out/dapo
   gn0 train dapo out/suite --start out/sft/policy --states 4000 --epochs 1 --out out/dapo-sft
   gn0 train dapo out/suite --start out/json/policy --sampling free --overlong 16 --out out/free
   gn0 train dapo out/suite --start out/dagger/policy --aggregation token --drop-uniform \\
       --resample 3 --out out/dapo-token
-  gn0 train dapo out/suite --start out/sft/policy --states 64 --prompts 8 --device host \\
-      --out out/tried"""
+  gn0 train dapo out/suite --start out/sft/policy --split all --held-out "" --states 64 \\
+      --prompts 8 --agents 4 --device host --out out/tried"""
 
-Weight = Annotated[float, msgspec.Meta(ge=0)]
-Scale = Annotated[float, msgspec.Meta(gt=0)]
+Scale = Annotated[float, msgspec.Meta(gt=0, le=1000)]
 
 
 class Args(PolicyFlags, frozen=True, kw_only=True):
     """What to train, on what, and how.
 
     Attributes:
-        start: the folder of the policy to go on from.
+        start: the folder of the policy to go on from, or of its run; bae for the one in the box.
         recipe: rates: scratch, for models from random weights (2e-5); pretrained, the paper's
             (1e-6).
         rate: the learning rate; the recipe's when 0.
@@ -65,7 +73,7 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
         reward_format: of an answer that cannot be read.
         position_scale: metres at which the reward for executed poses falls to 1/e.
         waypoint_scale: the same of waypoints.
-        minutes: of training at most.
+        minutes: of training at most; 0 for no limit.
         report: steps from report to report; a step is a rollout.
         drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes.
         seed: of states, their order, and answers.
@@ -73,7 +81,7 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
 
     start: str
     recipe: Literal["scratch", "pretrained"] = "scratch"
-    rate: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0
+    rate: Rate = 0
     walks: Literal["policy", "expert"] = "policy"
     reference: Literal["policy", "expert"] = "expert"
     states: Count = 22_000
@@ -101,7 +109,7 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
     reward_format: Weight = 2.0
     position_scale: Scale = 0.5
     waypoint_scale: Scale = 0.3
-    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
+    minutes: Minutes = 0
     report: Count = 10
     save: CountOrNone = 200
 
@@ -114,6 +122,7 @@ def run(args: Args) -> int:
 
     # what is learned from is looked at first: packages are of no help against a broken folder
     load_suite_kept(args.suite[0])
+    args = resolve_start(args)
     load_policy_settings(args.start)
     check_packages()
     from gn0.training.dapo import RECIPES_DAPO, DapoJob, train_dapo

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import tyro
 
 from gn0.cli.comma_lists import split_words
+from gn0.cli.reminder import break_silence
 from gn0.config import Config
 
+F = TypeVar("F", bound="StageFlags")
 Count = Annotated[int, msgspec.Meta(ge=1)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0)]
+Seed = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]  # as torch takes them
+Batch = Annotated[int, msgspec.Meta(ge=0, le=65536)]
+Rate = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Minutes = Annotated[float, msgspec.Meta(ge=0)]
+Weight = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 
 
 class StageFlags(Config, frozen=True, kw_only=True):
@@ -47,7 +55,7 @@ class StageFlags(Config, frozen=True, kw_only=True):
     examined: CountOrNone = 512
     save: CountOrNone = 1000
     examine: CountOrNone = 0
-    seed: int = 0
+    seed: Seed = 0
     device: str = "auto"
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
@@ -113,9 +121,9 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
     """
 
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
-    batch: CountOrNone = 0
-    rate: Annotated[float, msgspec.Meta(ge=0)] = 0
-    stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
+    batch: Batch = 0
+    rate: Rate = 0
+    stop_weight: Weight = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     jitter: bool = False
     speed: str = ""
@@ -142,6 +150,18 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
         return {name: value for name, value in given.items() if value}
 
 
+def resolve_start(flags: F) -> F:
+    """The flags with the policy's own folder in `start`, where that of its run, or `bae`, is given.
+
+    Raises:
+        CheckpointError: there is no such folder, or no policy in that of a run yet.
+    """
+    from gn0.policies.bae.shipped import find_checkpoint
+
+    start = getattr(flags, "start", "")
+    return msgspec.structs.replace(flags, start=str(find_checkpoint(start))) if start else flags
+
+
 def train_stage(
     flags: StageFlags,
     train: Callable[..., Path],
@@ -160,16 +180,39 @@ def train_stage(
         note: is told beside where it lies.
     """
     import os
+    import shlex
     import sys
 
     from gn0.config import check_config
 
-    made = train(
-        check_config(job), flags.out, device=flags.device, fresh=flags.fresh, command=sys.argv[1:]
-    )
-    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
+    job, command = check_config(job), sys.argv[1:]
+    leads = os.environ.get("RANK", "0") == "0"  # of several processes the first one speaks
+    with break_silence(partial(print, flush=True) if leads else _say_nothing) as say:
+        how = {"device": flags.device, "fresh": flags.fresh, "command": command, "say": say}
+        try:
+            made = train(job, flags.out, **how)
+        except KeyboardInterrupt:
+            say(f"\n{describe_rest(Path(flags.out))}")
+            raise
+    if not leads:
         return 0
     exam = flags.exam or flags.suite[0]
     print(f"written to {made}{note}")
-    print(f"next: gn0 bench run {exam} --policy {policy} --policy-option checkpoint={made}")
+    words = (exam, "--policy", policy, "--policy-option", f"checkpoint={made}")
+    print(f"next: gn0 bench run {shlex.join(words)}")
     return 0
+
+
+def describe_rest(out: Path) -> str:
+    """Where the command of a run that was stopped goes on when it is given again."""
+    from gn0.training.runs.run_folder import CHECKPOINTS
+    from gn0.training.runs.state_folder import find_latest, read_step
+
+    latest = find_latest(out / CHECKPOINTS)
+    if latest is None:
+        return "no checkpoint yet (--save): the same command learns from the beginning"
+    return f"the same command goes on from step {read_step(latest):,}"
+
+
+def _say_nothing(line: str) -> None:
+    """Nothing."""

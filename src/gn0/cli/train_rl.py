@@ -14,25 +14,33 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from gn0.cli.train_flags import CountOrNone, PolicyFlags, train_stage
+from gn0.cli.train_flags import (
+    CountOrNone,
+    Minutes,
+    PolicyFlags,
+    Rate,
+    Weight,
+    resolve_start,
+    train_stage,
+)
 
 EXAMPLES = """  gn0 train rl out/suite --start out/dagger/policy --out out/rl
   gn0 train rl out/suite --start out/dagger/policy --updates 400 --minutes 90 --out out/rl
   gn0 train rl out/suite --start out/dagger/policy --tokens executed --epochs 2 --out out/rl-2
   torchrun --nproc-per-node 4 -m -- gn0 train rl out/suite --start out/dagger/policy --out out/rl-4
-  gn0 train rl out/suite --start out/sft/policy --episodes 2 --group 4 --max-steps 24 --updates 2 \\
-      --device host --out out/tried"""
+  gn0 train rl out/suite --start out/sft/policy --split all --held-out "" --episodes 2 --group 4 \\
+      --max-steps 24 --updates 2 --device host --out out/tried"""
 
 
 class Args(PolicyFlags, frozen=True, kw_only=True):
     """What learns, where and how.
 
     Attributes:
-        start: the folder of the policy to begin from, as `gn0 train` writes.
+        start: the folder of the policy to begin from, or of its run; bae for the one in the box.
         split: splits of the suite to learn in, with commas between; all for all.
         recipe: rates to start with: scratch, of a small model; pretrained, of a large one.
         updates: rounds of walking and learning, at most.
-        minutes: of training at most.
+        minutes: of training at most; 0 for no limit.
         episodes: walked side by side for an update.
         group: agents in each of them.
         executed: actions of an answer that are carried out; 0 for as many as the policy says.
@@ -63,24 +71,24 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
     start: str
     recipe: Literal["scratch", "pretrained"] = "scratch"
     updates: Annotated[int, msgspec.Meta(ge=1)] = 200
-    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
+    minutes: Minutes = 0
     episodes: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 64
     group: Annotated[int, msgspec.Meta(ge=2, le=1024)] = 8
     executed: Annotated[int, msgspec.Meta(ge=0)] = 3
     max_steps: Annotated[int, msgspec.Meta(ge=1)] = 200
     temperature: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
-    cut_short: Annotated[float, msgspec.Meta(ge=0)] = 0.05
+    cut_short: Weight = 0.05
     drop_by: Literal["return", "task"] = "return"
     tokens: Literal["answer", "executed"] = "answer"
     minibatches: Annotated[int, msgspec.Meta(ge=1)] = 4
     epochs: Annotated[int, msgspec.Meta(ge=1)] = 1
-    batch: Annotated[int, msgspec.Meta(ge=1)] = 512
-    rate: Annotated[float, msgspec.Meta(ge=0)] = 0
+    batch: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 512
+    rate: Rate = 0
     tower: bool = False
     clip_low: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.2
     clip_high: Annotated[float, msgspec.Meta(gt=0, lt=10)] = 0.28
     aggregation: Literal["response", "token"] = "response"
-    entropy_bonus: Annotated[float, msgspec.Meta(ge=0)] = 0
+    entropy_bonus: Weight = 0
     save: CountOrNone = 10
     without_kl: bool = False
 
@@ -93,6 +101,7 @@ def run(args: Args) -> int:
 
     # what is begun from is looked at first: packages are of no help against a broken folder
     load_suite_kept(args.suite[0])
+    args = resolve_start(args)
     load_policy_settings(args.start)
     check_packages()
     from gn0.training.episode_rl import EpisodeJob, train_episode_rl

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from gn0.cli.comma_lists import read_joins, read_numbers, split_words
-from gn0.cli.train_flags import ImitationFlags, train_stage
+from gn0.cli.train_flags import ImitationFlags, Minutes, resolve_start, train_stage
 from gn0.errors import ConfigError
 
 EXAMPLES = """  gn0 train sft out/suite --out out/sft
@@ -26,7 +26,8 @@ EXAMPLES = """  gn0 train sft out/suite --out out/sft
       --layout json --lora 16 --batch 8 --out out/sft-4b
   gn0 train sft out/first out/second out/third --joins 0,500000,1500000 --text-length 120 \\
       --out out/growing
-  gn0 train sft out/suite --size nano --samples 2000 --device host --out out/tried"""
+  gn0 train sft out/suite --split all --held-out "" --size nano --samples 64 --batch 8 \\
+      --agents 4 --device host --out out/tried"""
 
 
 class Args(ImitationFlags, frozen=True, kw_only=True):
@@ -41,7 +42,8 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
         shares: of the samples, one a dataset with commas between; by their sizes by default.
         recipe: how it learns: scratch, from random weights; pretrained, the paper's rates.
         size: of a model from random weights: nano (2 M) or tiny (17 M).
-        start: a folder to start from instead: a policy, or any Qwen3-VL as safetensors.
+        start: a folder to start from instead: a policy, its run, or any Qwen3-VL as safetensors;
+            bae for the policy in the box.
         prompt: a prompt of `gn0 list prompts`, or the path of one; what it does not leave open
             (pictures, points, layout) is its own.
         pictures: what the prompt shows, with commas between: rgb, history, near and far of the
@@ -60,7 +62,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
         order: of answers: waypoints first, as in the paper, or actions first.
         preset: of the cameras, as in `gn0 list presets`.
         samples: to learn from.
-        minutes: of training at most; the rate falls in time for it.
+        minutes: of training at most; the rate falls in time for it. 0 for no limit.
         rate: the learning rate; the recipe's when 0, of pretrained ten times as much with --lora.
         lora: rank of adapters that learn in place of all weights of --start; 0 for none.
         kept: states of walks that batches are drawn from.
@@ -85,7 +87,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
     order: Literal["paper", "actions_first"] = "paper"
     preset: str = "tiny_128"
     samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
-    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
+    minutes: Minutes = 0
     lora: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
@@ -105,6 +107,7 @@ def run(args: Args) -> int:
         open_dataset(dataset)
     if args.source != "dataset":
         load_suite_kept(args.suite[0])
+    args = resolve_start(args)
     check_packages()
     from gn0.training.inputs import fit_prompt, read_inputs
     from gn0.training.recipe import RECIPES

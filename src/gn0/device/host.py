@@ -46,7 +46,7 @@ from gn0.device.arguments import (
 from gn0.device.device import DeviceArray, Event, KernelSource
 from gn0.device.pinned import is_pinned, new_pinned, not_pinned
 from gn0.device.records import Records
-from gn0.errors import DeviceError, DeviceMemoryError
+from gn0.errors import DeviceError, DeviceMemoryError, StorageError
 from gn0.storage import cache_dir, content_hash
 
 _SHIM = Path(__file__).with_name("shim.h")
@@ -279,6 +279,7 @@ class DeviceHost:
 
         Raises:
             DeviceError: the source does not compile.
+            StorageError: the cache folder cannot be written.
         """
         found = parse_prototypes(source.text)
         text = f'#include "{_SHIM}"\n{source.text}\n{_wrappers(found)}'
@@ -286,7 +287,14 @@ class DeviceHost:
         key = content_hash(source.text, _SHIM.read_text(), *flags, *_LINK)
         path = self._folder / f"{source.name}-{key[:24]}.so"
         if not path.exists():
-            self._compile(source.name, text, path, flags)
+            try:
+                self._compile(source.name, text, path, flags)
+            except OSError as error:
+                raise StorageError(
+                    f"the emulation's kernels cannot be kept: {error.strerror or error}",
+                    where=self._folder,
+                    remedy="set GN0_CACHE to a folder that can be written",
+                ) from error
         return path
 
     def _compile(self, name: str, text: str, path: Path, flags: tuple[str, ...]) -> None:

@@ -98,9 +98,10 @@ def _nearest(allowed, solid, u, v, in_sight, reach):  # type: ignore[no-untyped-
         if ring - 1.0 > 0 and (ring - 1.0) * (ring - 1.0) > best:
             break
         for row in range(max(row0 - ring, 0), min(row0 + ring, height - 1) + 1):
-            edge = abs(row - row0) == ring
-            step = 1 if edge or ring == 0 else 2 * ring
-            for col in range(col0 - ring, col0 + ring + 1, step):
+            first, behind, step = col0 - ring, col0 + ring + 1, 2 * ring
+            if abs(row - row0) == ring:  # all of it; far from the grid most lies beside it
+                first, behind, step = max(first, 0), min(behind, width), 1
+            for col in range(first, behind, step):
                 if col < 0 or col >= width or not allowed[row, col]:
                     continue
                 du, dv = col + 0.5 - u, row + 0.5 - v

@@ -233,6 +233,13 @@ def _no_suite(folder: Path) -> StorageError:
     """What lies there instead, and how a suite is made of it."""
     if (folder / "scene.json").is_file() or (folder / "corpus.json").is_file():
         remedy = f"these are scenes: gn0 missions generate {folder} --out SUITE makes a suite"
+    elif (folder / "dataset.json").is_file():
+        remedy = (
+            "this is a dataset: give the suite that it was made of; gn0 train sft and "
+            "gn0 train dagger learn from datasets with --source dataset"
+        )
+    elif folder.is_file():
+        remedy = "a file: give the folder that gn0 missions generate, or gn0 bench suite, wrote"
     elif folder.is_dir():
         remedy = "give the folder that gn0 missions generate, or gn0 bench suite, wrote"
     else:

@@ -30,6 +30,7 @@ from gn0.training.runs.run_folder import RunFolder, open_run
 T = TypeVar("T")
 _PATIENCE = timedelta(hours=2)  # the others wait while the first examines the policy
 _AVERAGED: WeakSet[DistributedDataParallel] = WeakSet()
+_AT_END: list[Callable[[], None]] = []  # let go of the group, where others hold it
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,18 @@ def join_processes(device: Device | str = "auto") -> Iterator[Processes]:
         distributed.barrier()  # nobody leaves while another still writes
     finally:
         _release_reducers()
+        while _AT_END:
+            _AT_END.pop()()
     distributed.destroy_process_group()
+
+
+def call_at_end(release: Callable[[], None]) -> None:
+    """Let something that holds the processes' group let go of it, before the group is closed.
+
+    Threads of gloo last as long as anything holds the group. One that drops its last tensor while
+    the interpreter is ending aborts the process, whose work was done.
+    """
+    _AT_END.append(release)
 
 
 def _release_reducers() -> None:
@@ -189,7 +201,7 @@ def _release_reducers() -> None:
     and waits for threads of gloo that want that lock to let go of tensors: it hangs for ever.
     """
     for averaged in tuple(_AVERAGED):
-        del averaged.reducer, averaged.logger
+        del averaged.reducer, averaged.logger, averaged.process_group
         _AVERAGED.discard(averaged)
 
 

@@ -246,6 +246,7 @@ class RecurrentStage:
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=step * self.batch, seconds=seconds, epoch=number
             )
+            line.pulse(step, end, self.counters.samples)
             self._shorten(seconds)
             over = step == self.schedule.end
             looks = over or (told.examine and step % told.examine == 0)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import partial
 from types import MethodType
 from typing import Any
+from weakref import ref
 
 import torch
 from torch import Tensor, nn
@@ -32,7 +33,7 @@ from transformers import Qwen3VLForConditionalGeneration
 from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import Checkpoint
 from gn0.policies.bae.forward import GATHERED
-from gn0.training.processes import Processes
+from gn0.training.processes import Processes, call_at_end
 from gn0.training.runs.optimiser_state import OptimiserState
 from gn0.training.runs.training_state import TrainingState
 
@@ -44,7 +45,9 @@ def open_mesh(processes: Processes, where: torch.device) -> DeviceMesh:
         ConfigError: one process alone, which has nobody to share with.
     """
     refuse_alone(processes)
-    return init_device_mesh(where.type, (processes.count,))
+    mesh = init_device_mesh(where.type, (processes.count,))
+    call_at_end(partial(_release_mesh, mesh))
+    return mesh
 
 
 def refuse_alone(processes: Processes) -> None:
@@ -70,7 +73,7 @@ def shard_blocks(model: Qwen3VLForConditionalGeneration, mesh: DeviceMesh) -> No
     """
     policy = _choose_types(mesh)
     for block in list_blocks(model):
-        fully_shard(block, mesh=mesh, mp_policy=policy)
+        _share_out(block, mesh, policy)
         setattr(block, GATHERED, MethodType(_compute, block))
         register_fsdp_forward_method(block, GATHERED)
 
@@ -78,7 +81,7 @@ def shard_blocks(model: Qwen3VLForConditionalGeneration, mesh: DeviceMesh) -> No
 def shard_rest(loss: nn.Module) -> None:
     """Keep a part of what `shard_blocks` left whole; the module is what is called each step."""
     mesh = next(one.device_mesh for one in loss.parameters() if isinstance(one, DTensor))
-    fully_shard(loss, mesh=mesh, mp_policy=_choose_types(mesh))
+    _share_out(loss, mesh, _choose_types(mesh))
 
 
 def list_blocks(model: Qwen3VLForConditionalGeneration) -> list[nn.Module]:
@@ -209,6 +212,23 @@ def build_hollow(
         made.to_empty(device=device)
         made.tie_weights()
     return made
+
+
+def _share_out(module: nn.Module, mesh: DeviceMesh, policy: MixedPrecisionPolicy) -> None:
+    call_at_end(partial(_release_module, ref(fully_shard(module, mesh=mesh, mp_policy=policy))))
+
+
+def _release_mesh(mesh: DeviceMesh) -> None:
+    """Let a mesh, which tables of PyTorch's keep for ever, let go of its group."""
+    getattr(mesh, "_pg_registry", {}).clear()  # PyTorch 2.11 has it elsewhere
+
+
+def _release_module(module: ref[nn.Module]) -> None:
+    """Let a sharded module, if it is still there, let go of its group."""
+    held: Any = module()
+    part = None if held is None else held._get_fsdp_state()._fsdp_param_group
+    if part is not None:
+        part.mesh_info.shard_process_group = None
 
 
 def _choose_types(mesh: DeviceMesh) -> MixedPrecisionPolicy:

@@ -257,6 +257,7 @@ class Stage:
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=first + recipe.batch, seconds=seconds
             )
+            line.pulse(step, end, self.counters.samples)
             over = step == end
             looks = over or (plan.examine and step % plan.examine == 0)
             saves = over or (plan.save and step % plan.save == 0)

@@ -1,4 +1,4 @@
-"""Record which kernels GN0's jobs call from Python, for `src/gn0/kernel_list.txt`.
+"""Record which kernels GN0's jobs call from Python, for `src/gn0/kernels/kernel_list.txt`.
 
 Each job is a few commands in miniature, run with a hook in every process (`kernel_site`). Commands
 of a job come after those of the jobs that made what they read.
@@ -19,7 +19,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from gn0.kernel_list import FILE, read_list, write_list
+from gn0.kernels.kernel_list import FILE, read_list, write_list
 from gn0.storage import cache_dir
 
 SITE = Path(__file__).parent / "kernel_site"

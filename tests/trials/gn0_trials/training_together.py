@@ -127,6 +127,14 @@ def learn(folder: Path, samples: int, dies_at: int = -1, *, fsdp: bool = False) 
             (folder / "held.json").write_text(json.dumps(held))
     if hasattr(learner._called, "reducer"):
         sys.exit("the reducer outlives its group: closing it may hang")
+    if fsdp and list_gloo_threads():
+        sys.exit("threads of gloo outlive their group: ending the interpreter may abort")
+
+
+def list_gloo_threads() -> list[str]:
+    """Names of this process' threads that compute for gloo; none where the system tells none."""
+    names = (path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm"))
+    return [name for name in names if name == "pt_gloo_runloop"]
 
 
 if __name__ == "__main__":

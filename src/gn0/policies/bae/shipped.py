@@ -12,6 +12,7 @@ from gn0.suites.run_files import RUN
 
 SHIPPED = "bae-tiny"
 TRAINED = "policy"  # in the folder of a training run
+BASELINE = "cma.json"  # in that of a baseline, which is another room's
 VARIABLE = "GN0_POLICY"  # environment: the folder of a checkpoint, in place of the shipped one
 _PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -37,6 +38,12 @@ def find_checkpoint(named: str = "", *, package: Path = _PACKAGE) -> Path:
             )
         if (folder / TRAINED / FILE).is_file():
             return folder / TRAINED
+        if any((place / BASELINE).is_file() for place in (folder, folder / TRAINED)):
+            raise CheckpointError(
+                "a baseline of `gn0 train baseline`, not GN-BAE",
+                where=folder,
+                remedy="gn0 policy examine walks it, and so does gn0 bench run --policy cma",
+            )
         if (folder / RUN).is_file():
             raise CheckpointError(
                 "this training run has no policy yet",

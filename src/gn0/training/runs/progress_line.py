@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import monotonic
 
+PATIENCE = 20.0  # s without a word, after which a run says at least where it is
+
 
 @dataclass(frozen=True)
 class TrainingReport:
@@ -83,6 +85,26 @@ class ProgressLine:
         self._say, self._seconds, self._clock = say, seconds, clock
         self._seen: deque[tuple[float, int, int]] = deque(maxlen=window)
         self._said = -float("inf")
+        self._pulsed = self._said
+        self._first: tuple[float, int, int] | None = None  # s, step and samples
+
+    def pulse(self, step: int, steps: int, samples: int) -> None:
+        """Say where a run is that has said nothing for a while, between its reports.
+
+        Args:
+            step: that is done.
+            steps: to be made.
+            samples: learned from.
+        """
+        now = self._clock()
+        self._first = self._first or (now, step, samples)
+        began, first, before = self._first
+        if now - max(self._said, self._pulsed, began) < PATIENCE:
+            return
+        self._pulsed = now
+        rate, each = (samples - before) / (now - began), (now - began) / (step - first)
+        left = format_seconds(each * (steps - step))
+        self._say(f"step {step:,}/{steps:,} · {samples:,} samples · {rate:,.1f}/s · {left} left")
 
     def update(self, report: TrainingReport) -> None:
         """Take a report; the last one of a run is always said."""

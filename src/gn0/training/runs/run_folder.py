@@ -353,9 +353,9 @@ def _check_same(
     free: Collection[str],
 ) -> tuple[str, ...]:
     held, allowed = list_recipe_differences(before.recipe, recipe, free)
-    if before.stage != stage:
-        held = [f"it is {before.stage}, this is {stage}", *held]
     held += list_recipe_differences(before.hashes, hashes)[0]
+    if before.stage != stage:  # what else differs is all of it
+        held = [f"it is {before.stage}, this is {stage}"]
     if held:
         raise TrainingError(
             f"the folder holds another run: {'; '.join(held)}",

@@ -47,7 +47,7 @@ def watch(module: Any) -> None:
             for kinds in [k for k in self.overloads if k not in before]:
                 if not name.startswith("gn0."):
                     continue
-                from gn0.kernel_types import call_text
+                from gn0.kernels.kernel_types import call_text
 
                 line = call_text(name.removeprefix("gn0."), kinds) or f"? {name} {kinds}"
                 if line not in known:

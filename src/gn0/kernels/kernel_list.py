@@ -59,7 +59,7 @@ def compile_call(call: str) -> bool:
     Raises:
         Exception: whatever Numba says where the list is of other code than this.
     """
-    from gn0.kernel_types import read_type
+    from gn0.kernels.kernel_types import read_type
 
     kernel = find_kernel(call)
     kernel.compile(tuple(read_type(text) for text in call.split()[1:]))

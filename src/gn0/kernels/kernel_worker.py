@@ -12,7 +12,7 @@ import sys
 import warnings
 
 from gn0.jit import is_locked, kernel_cache
-from gn0.kernel_list import compile_call, find_kernel
+from gn0.kernels.kernel_list import compile_call, find_kernel
 
 
 def answer_calls() -> int:

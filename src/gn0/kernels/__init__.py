@@ -1,0 +1,1 @@
+"""Compiled kernels: what each depends on, and which ones jobs call, to compile them ahead."""

@@ -15,8 +15,8 @@ from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import SH_C0
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, RED, pack_cloud
 from gn0.render.cuda import pack
-from gn0.render.cuda.draw import CHUNK as CHUNK_DEVICE
 from gn0.render.cuda.pack import SH_ROW, cloud_bytes, upload_cloud, upload_clouds
+from gn0.render.cuda.tables import CHUNK as CHUNK_DEVICE
 from gn0.render.cuda.tables import SPLATS_MAX
 from gn0.testing.renderer_check import random_cloud
 

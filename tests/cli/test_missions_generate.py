@@ -122,6 +122,12 @@ def test_generate_show_and_compare(
     picture = tmp_path / "coverage.png"
     assert main(["missions", "show", str(out), "--coverage", "--out", str(picture)]) == 0
     assert picture.stat().st_size > 1000
+    capsys.readouterr()
+    moving = tmp_path / "paths.gif"
+    assert main(["missions", "show", str(out), "--out", str(moving)]) == 2
+    assert "end it with .png or .jpg" in capsys.readouterr().err and not moving.exists()
+    assert main(["missions", "show", str(out), "--out", str(tmp_path / "paths.jpg")]) == 0
+    assert (tmp_path / "paths.jpg").read_bytes()[:2] == b"\xff\xd8"
 
 
 def test_errors_name_what_to_do(home: Path, tmp_path: Path, capsys) -> None:

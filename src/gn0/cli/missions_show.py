@@ -36,7 +36,8 @@ class Args(Config, frozen=True):
         path: a suite folder, a scene folder (the fifty goal episodes sampled in it), or an episode
             set in another format.
         episode: id of an episode; by default all of them, one picture per scene.
-        out: the PNG to write, or a folder for several; by default beside the suite.
+        out: the picture to write (.png, .jpg), or a folder for several; by default beside the
+            suite.
         no_rooms: leave out the outlines of rooms.
         coverage: show how many paths pass through each spot, instead of the paths.
         split: only episodes of this split.
@@ -135,8 +136,8 @@ def _beside(left: Image.Image, right: Image.Image) -> Image.Image:
 
 def _show_suite(args: Args) -> int:
     from gn0.cli.console import draw_progress
-    from gn0.errors import EpisodeError
-    from gn0.storage import write_atomic
+    from gn0.cli.picture_file import check_picture, is_picture, write_picture
+    from gn0.errors import ConfigError, EpisodeError
     from gn0.suites.named_suites import open_named
 
     suite = open_named(args.path)
@@ -156,18 +157,28 @@ def _show_suite(args: Args) -> int:
         jobs = [(args.episode, "", Path(args.out) if args.out else home.parent / f"{name}.png")]
     else:
         out = Path(args.out) if args.out else home.parent / f"{home.name}-overlays"
-        several = len(suite.about.scenes) > 1 or not args.out.endswith(".png")
+        many = len(suite.about.scenes) > 1
+        several = not out.suffix or (many and not is_picture(args.out))
+        if many and not several:
+            raise ConfigError(
+                f"{args.out[:80]!r} is one picture, and this suite has "
+                f"{counted(len(suite.about.scenes), 'scene')}",
+                where="--out",
+                remedy="give a folder, or an episode",
+            )
         jobs = [
             ("", scene.id, out / f"{scene.id}.png" if several else out)
             for scene in suite.about.scenes
         ]
+    for _, _, path in jobs:
+        check_picture(str(path))
     with draw_progress() as progress:
         for done, (episode, scene, path) in enumerate(jobs):
             progress("drawing", done, len(jobs))
             picture = draw_episode(
                 suite, known.get(episode), scene, not args.no_rooms, args.coverage, args.split
             )
-            write_atomic(path, lambda stream, p=picture: p.save(stream, "PNG"))  # type: ignore[misc]
+            write_picture(str(path), picture)
         progress("drawing", len(jobs), len(jobs))
     for _, _, path in jobs:
         print(f"written to {path}")
@@ -175,11 +186,13 @@ def _show_suite(args: Args) -> int:
 
 
 def _show_set(args: Args) -> int:
+    from gn0.cli.picture_file import check_picture, write_picture
     from gn0.missions.sets.episode_set import load_set
     from gn0.missions.sets.frame_check import summarise
-    from gn0.storage import write_atomic
     from gn0.viewer.overlay import render_paths
 
+    if args.out:
+        check_picture(args.out)
     found = load_set(args.path)
     tasks = [task for task in found.tasks if not args.episode or task.id == args.episode]
     told = summarise(tasks)
@@ -202,7 +215,6 @@ def _show_set(args: Args) -> int:
         print(f"  {note}")
     if args.out and tasks:
         scene = max(found.scenes, key=lambda s: sum(t.scene == s for t in tasks))
-        picture = render_paths([t.points for t in tasks if t.scene == scene])
-        write_atomic(args.out, lambda stream: picture.save(stream, "PNG"))
+        write_picture(args.out, render_paths([t.points for t in tasks if t.scene == scene]))
         print(f"paths of {scene}: {args.out}")
     return 0

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 _KINDS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 
 
+def is_picture(out: str) -> bool:
+    """Whether a file's name asks for a picture."""
+    return Path(out).suffix.lower() in _KINDS
+
+
 def check_picture(out: str) -> str:
     """The kind of picture that a file's name asks for; asked before any work.
 

@@ -75,7 +75,7 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
         waypoint_scale: the same of waypoints.
         minutes: of training at most; 0 for no limit.
         report: steps from report to report; a step is a rollout.
-        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes.
+        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes or more.
         seed: of states, their order, and answers.
     """
 

@@ -81,8 +81,8 @@ class PolicyFlags(StageFlags, frozen=True, kw_only=True):
     Attributes:
         asked: states of an examination.
         shard_mb: megabytes of a checkpoint's file at most.
-        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes, and
-            whoever goes on warms the rate again.
+        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes or
+            more, and whoever goes on warms the rate again.
     """
 
     asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096

@@ -63,8 +63,8 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
         save: updates from checkpoint to checkpoint; 0 for one at the end.
         examine: updates from examination to examination; 0 for one before and one at the end.
         without_kl: do not measure the KL to the policy at the start, which takes a second model.
-        drop_optimiser: leave the optimiser's states out of checkpoints: a third of the bytes, and
-            whoever goes on warms the rate again.
+        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes or
+            more, and whoever goes on warms the rate again.
         seed: of episodes, answers and order.
     """
 

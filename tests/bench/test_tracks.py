@@ -94,7 +94,7 @@ def test_who_was_told_more_never_shares_a_table(
     assert said.count(" SR % ") == 3 and "off the track" in said
     page = write_report([runs[n] for n in order], tmp_path / "x.html", videos=0).read_text()
     tables = [part.split("</table>")[0] for part in page.split('<table class="headline">')[1:]]
-    inside = [[name for name in order if f"</span>{name}<" in table] for table in tables]
+    inside = [[name for name in order if f"<span>{name}</span>" in table] for table in tables]
     assert inside == [["random", "wall_follower"], ["straight"], ["oracle"]]
     assert "best" not in tables[1] + tables[2], "nothing to be better than"
     cards = [dict(s.protocol) for s in summaries]

@@ -192,7 +192,7 @@ def test_another_bank_or_none_there_is_named(bank: Path, serving: Serving, tmp_p
         see(drawn, eyes)
     assert told.value.where == str(copy) and "bank" in told.value.remedy
     shutil.rmtree(copy)
-    with pytest.raises(StorageError, match="not a bank of people") as gone:
+    with pytest.raises(StorageError, match="there is no such bank of people") as gone:
         see(drawn, eyes)
     assert gone.value.where == str(copy)
     good = PeopleEyes(FLAT, drawn, bank)

@@ -226,9 +226,11 @@ def _release_mesh(mesh: DeviceMesh) -> None:
 def _release_module(module: ref[nn.Module]) -> None:
     """Let a sharded module, if it is still there, let go of its group."""
     held: Any = module()
-    part = None if held is None else held._get_fsdp_state()._fsdp_param_group
-    if part is not None:
-        part.mesh_info.shard_process_group = None
+    state = None if held is None else held._get_fsdp_state()
+    # by names of PyTorch's own, which another version may not have: then a thread lasts longer
+    info = getattr(getattr(state, "_fsdp_param_group", None), "mesh_info", None)
+    if info is not None:
+        info.shard_process_group = None
 
 
 def _choose_types(mesh: DeviceMesh) -> MixedPrecisionPolicy:

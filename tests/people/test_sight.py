@@ -105,5 +105,5 @@ def test_sight_of_cameras() -> None:
     above = Camera(width=8, height=8, fx=8, fy=8, cx=4, cy=4, model="ortho")
     assert find_sight((SQUARE, above), EYE, 0.0) is None
     assert Sight(1.0, 0.0, 1.0).may_show(Pose2D(0, 0, 0), 9.0, 0.0)
-    assert not Sight(1.0, 0.0, 1.0).may_show(Pose2D(0, 0, 0), -2.1, 0.0)
+    assert not Sight(1.0, 0.0, 1.0).may_show(Pose2D(0, 0, 0), -5.1, 0.0)
     assert len(IDLES) > 1

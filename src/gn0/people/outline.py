@@ -13,7 +13,7 @@ from gn0.geometry import F64
 from gn0.render.renderer import ALPHA_MIN
 
 DIRECTIONS = 16
-REACH_MOST = 2.0  # m, that nobody is seen from its place
+REACH_MOST = 5.0  # m from its place that nobody is seen: files hold splats 3.27 m off along an axis
 # m: how far somebody reaches beyond how he stands: idle and turning, walking, in all other clips
 _SWAYS, _STRIDES, _STRETCHES = 0.1, 0.35, 0.6
 _SLACK = 0.05  # m: between the moments at which clips were looked at, and what a head turns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import os
 import subprocess
 import sys
@@ -67,6 +68,29 @@ def test_without_a_cache_nothing_is_compiled(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     said = compile_cold(tmp_path / "file" / "kernels", COMPILE)
     assert said.strip() == "False 0 0 0 [] False"
+
+
+def test_who_is_not_waited_for_any_more_has_not_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One process says that there is no cache while another is still at its call."""
+    asked, told, workers = threading.Event(), [], itertools.count()
+
+    class Worker:
+        def __init__(self, _module: str, say: Any, *_: object) -> None:
+            self._say, self._silent = say, next(workers) == 0
+
+        def send(self, _call: bytes) -> None:
+            if self._silent:
+                asked.set()
+            else:
+                asked.wait(60.0)
+                self._say(b"nowhere")
+
+        def end(self) -> None:
+            pass
+
+    monkeypatch.setattr(ahead, "WorkerProcess", Worker)
+    found = ahead.compile_all("walk", processes=2, progress=lambda _s, done, _t: told.append(done))
+    assert found == ahead.Compiled() and not told
 
 
 @pytest.mark.parametrize(

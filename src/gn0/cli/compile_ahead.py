@@ -135,6 +135,7 @@ class _Crew:
         with self._lock:
             if word == "nowhere":
                 self._ended.set()
+            if word in ("nowhere", "ended"):
                 return False
             if word != "busy":
                 self.done.append(word)
@@ -145,13 +146,13 @@ class _Crew:
         return True
 
     def _hear(self, said: queue.Queue[bytes | None]) -> str:
-        """Its answer, or "failed" when it is gone, silent or not wanted any more."""
+        """Its answer, "failed" when it is gone or silent, or "ended" when none is wanted."""
         waited = 0.0
         while not self._ended.is_set() and waited < _PATIENCE:
             with contextlib.suppress(queue.Empty):
                 return (said.get(timeout=0.2) or b"failed").decode().strip()
             waited += 0.2
-        return "failed"
+        return "ended" if self._ended.is_set() else "failed"
 
 
 def _find_stamp(jobs: Sequence[str]) -> Path:

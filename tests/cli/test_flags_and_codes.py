@@ -14,11 +14,13 @@ from unittest.mock import MagicMock
 import pytest
 
 from gn0.cli.console import _lines, plain_text
-from gn0.cli.main import edit_distance, find_verb, main
+from gn0.cli.main import VERBS, edit_distance, find_verb, main
 from gn0.cli.result_tables import _COLUMNS, _print_table
 from gn0.data.verify import Damage
 from gn0.errors import StorageError
 from gn0.scenes.check import Finding
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import save_scene
 
 Note = Callable[[str], dict[str, Any]]
 
@@ -318,3 +320,71 @@ def test_a_table_has_the_low_end_of_an_interval_first(capsys: pytest.CaptureFixt
     _print_table([summary], "")
     said = capsys.readouterr().out
     assert "3/4" in said and "25.0–75.0" in said and "75.0–25.0" not in said
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_no_help_shows_an_empty_default_for_what_one_names(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Positionals that must be given, or may be left out, said "(default: )"."""
+    with pytest.raises(SystemExit):
+        main([*verb.split(), "--help"])
+    said = capsys.readouterr().out
+    positional = said.partition("positional arguments")[2].partition(" options ")[0]
+    assert "(default: )" not in positional and "(default: '')" not in positional
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "missions generate S --seed", "missions generate S --people 2 --people-seed",
+        "bench suite S --seed", "bench suite S --people 2 --people-seed",
+        "view S --people 2 --people-seed", "demo --seed", "data balance S --seed",
+        "avatar generate --seed",
+    ],
+)  # fmt: skip
+def test_seeds_are_the_same_numbers_everywhere(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = [] if command.startswith(("view", "data balance")) else ["--out", "OUT"]
+    for seed in ("-1", str(2**63)):
+        assert main([*command.split(), seed, *out]) == 2
+        assert f"[CONFIG] {command.split()[-1]}:" in capsys.readouterr().err
+
+
+def test_a_checkpoint_that_is_not_there_is_told_before_packages_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("gn0.suites.suite_kept.load_suite_kept", lambda path: None)
+    monkeypatch.setattr("gn0.cli.train_packages.check_packages", lambda: pytest.fail("too early"))
+    command = ["policy", "examine", str(tmp_path / "none"), "SUITE", "--out", str(tmp_path / "o")]
+    assert main(command) == 2
+    assert "no such checkpoint" in capsys.readouterr().err
+
+
+def test_light_of_numbers_is_asked_for_and_a_scene_is_no_variant_of_itself(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scene = tmp_path / "scene"
+    save_scene(build_example_scene(spacing=0.4), scene)
+    before = (scene / "scene.json").read_bytes()
+    light = ["scene", "light", str(scene)]
+    for flags, said in (
+        (["--exposure", "1"], "--exposure without effect"),
+        (["--mood", "custom", "--kelvin", "-5"], "--kelvin"),
+        (["--mood", "dusk", "--write", str(scene), "--overwrite"], "its variant"),
+        (["--out", str(tmp_path / "x.gif")], "end it with .png or .jpg"),
+    ):
+        assert main([*light, *flags]) == 2
+        assert said in capsys.readouterr().err
+    assert (scene / "scene.json").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["scene"]
+
+
+def test_pictures_of_scenes_are_of_the_kind_that_their_name_says(tmp_path: Path) -> None:
+    out = tmp_path / "sofa.jpg"
+    assert main(["scene", "furniture", "seats/sofa", "--out", str(out)]) == 0
+    assert out.read_bytes()[:2] == b"\xff\xd8"
+    assert main(["scene", "furniture", "seats/sofa", "--out", str(tmp_path / "sofa.txt")]) == 2
+    assert main(["scene", "show", "nowhere", "--out", str(tmp_path / "sofa.txt")]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["sofa.jpg"]

@@ -49,6 +49,12 @@ def test_inspect_names_levels_and_oddities(
     assert json.loads(capsys.readouterr().out)["gaussians"] == 20
 
 
+def test_no_number_is_minus_nothing(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = shared_data / "splats" / "fixtures" / "minimal-v2.spz"
+    assert main(["scene", "inspect", str(path)]) == 0
+    assert not re.search(r"-0(?![.0-9e])", capsys.readouterr().out.partition("size")[2])
+
+
 def test_comments_cannot_command_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

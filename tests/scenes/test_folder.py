@@ -303,3 +303,11 @@ def test_places_that_are_no_scene(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(StorageError, match="not a scene folder"):
         load_scene(tmp_path / "file")
+
+
+@pytest.mark.parametrize("far", [np.nan, 1e6])
+def test_bounds_that_no_reader_takes_are_not_written(scene, far, tmp_path):
+    wrong = replace(scene, bounds=np.array([[0.0, 0.0, 0.0], [1.0, 1.0, far]]))
+    with pytest.raises(SceneError, match="bounds"):
+        save_scene(wrong, tmp_path / "scene")
+    assert not list(tmp_path.iterdir())

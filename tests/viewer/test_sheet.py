@@ -13,7 +13,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.render.open import build_renderer
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.scene import SceneObject
-from gn0.viewer.floor_plan import render_plan
+from gn0.viewer.floor_plan import _SUPER, _Plan, render_plan
 from gn0.viewer.scene_sheet import render_sheet
 from gn0.viewer.viewpoints import choose_viewpoints
 
@@ -83,3 +83,14 @@ def test_long_and_strange_names_do_not_break_it(scene):
     odd = SceneObject(id="x", category="тумба " * 40 + "<script>", box=first.box)
     strange = replace(scene, id="n" * 128, objects=(odd, *scene.objects), licence="l" * 9999)
     assert render_sheet(strange, build_renderer(scene.gaussians), width=640).width == 640
+
+
+def test_names_on_a_small_plan_lie_in_their_rooms(scene):
+    """A name over the neighbour's floor is taken for the neighbour's."""
+    plan = _Plan(scene, 300 * _SUPER, 150 * _SUPER)
+    plan.draw(names=False)
+    assert len(plan.labels) == len(scene.rooms)
+    for room, (left, top, right, bottom) in zip(scene.rooms, plan.labels, strict=True):
+        polygon = np.asarray(room.polygon)
+        (x0, y0), (x1, y1) = plan.at(*polygon.min(axis=0)), plan.at(*polygon.max(axis=0))
+        assert x0 < left < right < x1 and y1 < top < bottom < y0, room.id

@@ -32,7 +32,9 @@ class Args(Config, frozen=True):
     """
 
     a: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    b: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = ""
+    b: Annotated[
+        str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]", help_behavior_hint="(optional)")
+    ] = ""
     unit: Literal["auto", "scene", "episode"] = "auto"
     paired_by: Literal["episode", "path"] = "episode"
     mission_a: str = ""

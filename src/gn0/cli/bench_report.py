@@ -26,7 +26,11 @@ class Args(Config, frozen=True):
         bank: folder of the bank of people whom episodes name.
     """
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+    runs: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(required)"),
+    ]
     out: str = ""
     suite: str = ""
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4

@@ -39,11 +39,13 @@ class Args(Config, frozen=True):
     """
 
     scenes: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE [SCENE ...]")
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SCENE [SCENE ...]", help_behavior_hint="(required)"),
     ]
     out: str
     episodes: Annotated[int, msgspec.Meta(ge=1)] = 50
-    seed: int = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     minimum_length: Annotated[float, msgspec.Meta(ge=0)] = 3.0
     camera: str = "gn_bench"
     radius: Annotated[float, msgspec.Meta(ge=0, le=5)] | None = None
@@ -51,7 +53,7 @@ class Args(Config, frozen=True):
     map_mode: Literal["prior", "explored", "none"] = "prior"
     track: str = "object"
     people: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0
-    people_seed: int = 0
+    people_seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     overwrite: bool = False
 
 

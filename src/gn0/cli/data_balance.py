@@ -43,7 +43,7 @@ class Args(Config, frozen=True):
     right: Annotated[float, msgspec.Meta(ge=0, le=100)] = 15.0
     stop: Annotated[float, msgspec.Meta(ge=0, le=100)] = 3.0
     tolerance: Annotated[float, msgspec.Meta(ge=0, le=50)] = 0.5
-    seed: int = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     tracking: Annotated[float, msgspec.Meta(ge=0, le=100)] | None = None
 
 

@@ -84,7 +84,7 @@ class Args(Config, frozen=True):
     pictures: Literal["webdataset", "lerobot", "none"] = "none"
     map_mode: Literal["prior", "explored", "none"] | None = None
     max_steps: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
-    seed: int = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     agents: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1
     backend: Literal["cpu", "cuda"] = "cpu"

@@ -29,7 +29,11 @@ class Args(Config, frozen=True):
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    shards: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SHARD")]
+    shards: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SHARD", help_behavior_hint="(required)"),
+    ]
     out: str
     balance: Literal["none", "weights", "selection"] = "none"
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False

@@ -41,7 +41,7 @@ class Args(Config, frozen=True):
     """
 
     out: str
-    seed: int = 12
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 12
     episodes: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
     density: Annotated[float, msgspec.Meta(ge=5_000, le=20_000)] = 10_000.0
     workers: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0

@@ -41,7 +41,11 @@ class Args(Config, frozen=True):
         merge: measure nothing; take the rows of this figures.json, measured on another machine.
     """
 
-    ids: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[ID ...]")] = ()
+    ids: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="[ID ...]", help_behavior_hint="(optional)"),
+    ] = ()
     all: bool = False
     list: bool = False
     out: str = "docs"

@@ -43,7 +43,9 @@ class Args(Config, frozen=True):
 
     suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
     episodes: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[EPISODE ...]")
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="[EPISODE ...]", help_behavior_hint="(optional)"),
     ] = ()
     limit: Annotated[int, msgspec.Meta(ge=1, le=10_000), tyro.conf.arg(aliases=("--count",))] = 3
     provider: Literal["template", "openai", "replay"] = "template"

@@ -100,10 +100,12 @@ class Args(Config, frozen=True):
     """
 
     scenes: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE [SCENE ...]")
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SCENE [SCENE ...]", help_behavior_hint="(required)"),
     ]
     out: str
-    seed: int = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     per_scene: Annotated[int | None, _Int] = None
     missions: Annotated[
         str, tyro.conf.arg(metavar="KINDS", help_behavior_hint="", aliases=("--types",))
@@ -134,7 +136,7 @@ class Args(Config, frozen=True):
     ] = None
     lights: Annotated[int | None, _Int] = None
     people: Annotated[int | None, _Int] = None
-    people_seed: Annotated[int | None, _Int] = None
+    people_seed: Annotated[Annotated[int, msgspec.Meta(ge=0, le=2**62)] | None, _Int] = None
     split: str = "test"
     val_seen: Annotated[float | None, _Float] = None
     against: tuple[str, ...] = ()

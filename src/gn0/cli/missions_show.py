@@ -44,7 +44,11 @@ class Args(Config, frozen=True):
     """
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
-    episode: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[EPISODE]")] = ""
+    episode: Annotated[
+        str,
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="[EPISODE]", help_behavior_hint="(optional)"),
+    ] = ""
     out: str = ""
     no_rooms: bool = False
     coverage: bool = False

@@ -77,11 +77,17 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Walk, and print a row a mission kind."""
+    from pathlib import Path
+
     from gn0.cli.console import draw_progress, plain_text
     from gn0.cli.train_packages import check_packages
+    from gn0.policies.bae.shipped import find_checkpoint
     from gn0.suites.suite_kept import load_suite_kept
 
-    load_suite_kept(args.suite)  # looked at first: packages are of no help against a broken folder
+    # looked at first: packages are of no help against a folder that is broken or not there
+    load_suite_kept(args.suite)
+    if not Path(args.checkpoint).expanduser().is_dir():
+        find_checkpoint(args.checkpoint)
     check_packages()
     from gn0.training.exams.policy_examination import WalkJob, examine_policy
 

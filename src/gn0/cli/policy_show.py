@@ -63,7 +63,7 @@ class Args(Config, frozen=True):
     steps: Literal["one", "all"] = "one"
     from_: Annotated[str, tyro.conf.arg(name="from")] = ""
     pick: Annotated[int, msgspec.Meta(ge=1, le=20)] = 3
-    seed: int = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0, le=6)] = 0
     computed_by: Literal["auto", "torch", "numpy"] = "auto"
@@ -144,7 +144,7 @@ def _draw_decision(
         found: Decision | None = None
         words = ""
         for step in walk_asked(policy, simulator, episode):
-            progress("walking", len(spots), args.step)
+            progress("walking", len(spots), min(args.step, simulator.max_steps))
             spots.append((step.pose.x, step.pose.y))
             found = step.decision
             if len(spots) > args.step:

@@ -37,7 +37,7 @@ class Args(Config, frozen=True):
         workers: scenes made at a time; each takes 2 to 8 GB.
         executor: process on this machine, or ray.
         ray_address: address of a running Ray cluster.
-        sheet: draw all scenes from above into corpus.jpg.
+        no_sheet: do not draw all scenes from above into corpus.jpg.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
@@ -46,7 +46,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
-    sheet: bool = True
+    no_sheet: bool = False
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
@@ -74,7 +74,7 @@ def run(args: Args) -> int:
             progress=progress,
         )
         picture = Path(args.out) / "corpus.jpg"
-        if args.sheet:
+        if not args.no_sheet:
             sheet = render_corpus(corpus, args.out, progress=progress)
             write_atomic(picture, lambda stream: sheet.save(stream, "JPEG", quality=88))
     print(f"{'scene':<28}{'split':<12}{'m²':>7}{'objects':>9}{'rooms':>7}{'Gaussians':>12}")
@@ -84,6 +84,6 @@ def run(args: Args) -> int:
             f"{scene.id:<28}{split:<12}{scene.area:>7.1f}{scene.objects:>9}{scene.rooms:>7}"
             f"{scene.gaussians:>12,}"
         )
-    print(f"written to {args.out}" + (f"; look at {picture}" if args.sheet else ""))
+    print(f"written to {args.out}" + ("" if args.no_sheet else f"; look at {picture}"))
     print(f"next: gn0 missions generate {args.out} --out MISSIONS")
     return 0

@@ -24,13 +24,15 @@ class Args(Config, frozen=True):
 
     Attributes:
         names: kinds, things or patterns; all without any.
-        out: the PNG to write.
+        out: the PNG or JPEG to write.
         seed: which of the many of each thing is drawn.
         list: print the names of things instead.
     """
 
     names: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME ...]")
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="[NAME ...]", help_behavior_hint="(optional)"),
     ] = ()
     out: str = "furniture.png"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
@@ -40,8 +42,9 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Draw and write, or list."""
     from gn0.cli.console import draw_progress
+    from gn0.cli.picture_file import check_picture, write_picture
     from gn0.scenes.procedural.catalogue.table import find_things
-    from gn0.storage import check_writable, write_atomic
+    from gn0.storage import check_writable
 
     things = find_things(args.names)
     if args.list:
@@ -49,10 +52,11 @@ def run(args: Args) -> int:
         return 0
     from gn0.viewer.furniture_sheet import draw_catalogue
 
+    check_picture(args.out)
     out = Path(args.out)
     check_writable(out)
     with draw_progress() as progress:
         sheet = draw_catalogue(things, seed=args.seed, progress=progress)
-    write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
+    write_picture(args.out, sheet)
     print(f"{counted(len(things), 'thing')}, written to {out}")
     return 0

@@ -104,11 +104,11 @@ def _lines(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _extent(low: list[float], high: list[float]) -> str:
-    return " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
+    return " x ".join(f"{b - a + 0.0:.3g}" for a, b in zip(low, high, strict=True))
 
 
 def _point(values: list[float]) -> str:
-    return "(" + ", ".join(f"{v:.3g}" for v in values) + ")"
+    return "(" + ", ".join(f"{v + 0.0:.3g}" for v in values) + ")"
 
 
 def _some(names: list[str]) -> str:

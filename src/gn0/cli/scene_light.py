@@ -24,14 +24,14 @@ class Args(Config, frozen=True):
 
     Attributes:
         folder: a scene folder.
-        out: contact sheet to write; default: NAME-light.jpg beside the scene.
+        out: contact sheet to write, JPEG or PNG; default: NAME-light.jpg beside the scene.
         seed: seed of the conditions.
         count: conditions on the sheet.
         mood: only this one; custom takes the numbers below.
-        exposure: stops brighter or darker.
-        kelvin: colour temperature of the light; 5500 leaves colours alone.
-        contrast: contrast of light and shadow, if the scene keeps them.
-        saturation: saturation of colours.
+        exposure: stops brighter or darker, -6 to 6.
+        kelvin: colour temperature of the light, 1500 to 20000; 5500 leaves colours alone.
+        contrast: contrast of light and shadow, 0 to 2, if the scene keeps them.
+        saturation: saturation of colours, 0 to 2.
         write: also write the first condition's scene as a folder of its own.
         overwrite: replace that folder.
     """
@@ -43,12 +43,15 @@ class Args(Config, frozen=True):
     mood: Literal[
         "bright day", "overcast", "warm lamps", "cool tubes", "dusk", "night", "any", "custom"
     ] = "any"
-    exposure: float = 0.0
-    kelvin: float = 5500.0
-    contrast: float = 1.0
-    saturation: float = 1.0
+    exposure: Annotated[float, msgspec.Meta(ge=-6, le=6)] = 0.0
+    kelvin: Annotated[float, msgspec.Meta(ge=1500, le=20000)] = 5500.0
+    contrast: Annotated[float, msgspec.Meta(ge=0, le=2)] = 1.0
+    saturation: Annotated[float, msgspec.Meta(ge=0, le=2)] = 1.0
     write: str = ""
     overwrite: bool = False
+
+
+_NUMBERS = ("exposure", "kelvin", "contrast", "saturation")
 
 
 def run(args: Args) -> int:
@@ -57,19 +60,31 @@ def run(args: Args) -> int:
     from pathlib import Path
 
     from gn0.cli.console import draw_progress
+    from gn0.cli.picture_file import check_picture, write_picture
     from gn0.cli.scene_import import print_scene
-    from gn0.config import check_config
+    from gn0.errors import StorageError
     from gn0.render.light import LightCondition, condition_names, draw_condition, relight_cloud
     from gn0.scenes.folder import load_scene, save_scene
-    from gn0.storage import write_atomic
+    from gn0.storage import check_replaceable, plain_path
     from gn0.viewer.light_sheet import render_light
 
+    _check_mood(args)
     folder = Path(args.folder)
     scene = load_scene(folder)
+    out = folder.resolve().parent / f"{folder.resolve().name}-light.jpg"
+    if args.out:
+        check_picture(args.out)
+        out = Path(args.out)
+    if args.write:  # said now, not after the drawing
+        target = plain_path(args.write)
+        if target.resolve() == folder.resolve():
+            raise StorageError(
+                "the scene itself cannot be its variant", where=target, remedy="choose another name"
+            )
+        check_replaceable(target, overwrite=args.overwrite, marker="scene.json")
     moods = condition_names()
     if args.mood == "custom":
-        numbers = {k: getattr(args, k) for k in ("exposure", "kelvin", "contrast", "saturation")}
-        conditions = [check_config(LightCondition(name="custom", **numbers))]
+        conditions = [LightCondition(name="custom", **{k: getattr(args, k) for k in _NUMBERS})]
     elif args.mood == "any":  # each mood comes before any comes again
         conditions = [
             draw_condition(args.seed, scene.id, k, mood=moods[k % len(moods)])
@@ -77,11 +92,9 @@ def run(args: Args) -> int:
         ]
     else:
         conditions = [draw_condition(args.seed, scene.id, 0, mood=args.mood)]
-    name = folder.resolve().name
-    out = Path(args.out) if args.out else folder.resolve().parent / f"{name}-light.jpg"
     with draw_progress() as progress:
         sheet = render_light(scene, conditions, progress=progress)
-        write_atomic(out, lambda stream: sheet.save(stream, "JPEG", quality=90))
+        write_picture(str(out), sheet)
         if args.write:
             lit = conditions[0]
             settings = {**scene.source.settings, "lit": lit.name}
@@ -98,3 +111,21 @@ def run(args: Args) -> int:
     if args.write:
         print_scene(written, args.write)
     return 0
+
+
+def _check_mood(args: Args) -> None:
+    """Refuse numbers that the named moods would not look at.
+
+    Raises:
+        ConfigError: names them.
+    """
+    from gn0.errors import ConfigError
+
+    plain = Args(folder=args.folder)
+    given = [f"--{k}" for k in _NUMBERS if getattr(args, k) != getattr(plain, k)]
+    if given and args.mood != "custom":
+        raise ConfigError(
+            f"{' and '.join(given)} without effect: the mood is {args.mood!r}, not custom",
+            where="gn0 scene light",
+            remedy="add --mood custom, or leave them out",
+        )

@@ -19,7 +19,7 @@ class Args(Config, frozen=True):
 
     Attributes:
         folder: a scene folder.
-        out: the PNG to write; default: sheet.png beside the scene folder.
+        out: the PNG or JPEG to write; default: NAME.png beside the scene folder.
         labels: what the views show instead of colours: the category of what is seen (semantic), or
             which object it is (instance), each in a colour of its own.
     """
@@ -32,11 +32,14 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Draw and write."""
     from gn0.cli.console import draw_progress
+    from gn0.cli.picture_file import check_picture, write_picture
     from gn0.render.open import build_renderer
     from gn0.scenes.folder import load_scene
-    from gn0.storage import check_writable, write_atomic
+    from gn0.storage import check_writable
     from gn0.viewer.scene_sheet import render_sheet
 
+    if args.out:
+        check_picture(args.out)
     folder = Path(args.folder)
     scene = load_scene(folder)
     out = Path(args.out) if args.out else folder.resolve().parent / f"{folder.resolve().name}.png"
@@ -49,6 +52,6 @@ def run(args: Args) -> int:
             labels=args.labels,
         )
         progress("drawing", 1, 1)
-    write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
+    write_picture(str(out), sheet)
     print(f"written to {out}")
     return 0

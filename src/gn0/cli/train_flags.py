@@ -45,7 +45,7 @@ class StageFlags(Config, frozen=True, kw_only=True):
     suite: Annotated[
         tuple[str, ...],
         tyro.conf.Positional,
-        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
+        tyro.conf.arg(metavar="SUITE [SUITE ...]", help_behavior_hint="(required)"),
         msgspec.Meta(min_length=1),
     ]
     out: str

@@ -23,7 +23,11 @@ class Args(Config, frozen=True):
         run: folders of training runs.
     """
 
-    run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+    run: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(required)"),
+    ]
 
 
 def run(args: Args) -> int:

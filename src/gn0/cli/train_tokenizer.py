@@ -30,7 +30,11 @@ class Args(Config, frozen=True):
         overwrite: replace a tokenizer that is there.
     """
 
-    sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+    sources: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SOURCE", help_behavior_hint="(required)"),
+    ]
     out: str
     merges: Annotated[int, msgspec.Meta(ge=0, le=200_000)] = 1500
     overwrite: bool = False

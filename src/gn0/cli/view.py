@@ -60,12 +60,12 @@ class Args(Config, frozen=True):
     paths: Annotated[
         tuple[str, ...],
         tyro.conf.Positional,
-        tyro.conf.arg(metavar="SCENE_OR_RUN [SCENE_OR_RUN ...]"),
+        tyro.conf.arg(metavar="SCENE_OR_RUN [SCENE_OR_RUN ...]", help_behavior_hint="(required)"),
     ]
     results: tuple[str, ...] = ()
     episode: str = ""
     people: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0
-    people_seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    people_seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     bank: str = ""
     record: str = ""
     name: str = ""

@@ -35,6 +35,7 @@ from gn0.gaussians.morton import morton_order
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.gaussians.splat_files import load_cloud
+from gn0.geometry import F64
 from gn0.maps.interiorgs_map import load_occupancy, save_occupancy
 from gn0.progress import Progress, no_progress
 from gn0.remote import local_path
@@ -116,6 +117,13 @@ def save_scene(
     out = plain_path(out)
     check_scene_id(scene.id)
     _check_references(scene.objects, scene.rooms, "scene")
+    if not _are_bounds(scene.bounds):  # no reader would take the folder
+        raise SceneError(
+            f"bounds {np.asarray(scene.bounds).tolist()} are not finite, beyond {REACH:g} m, or "
+            "the wrong way round",
+            where=scene.id,
+            remedy="correct the scale or the origin of the source",
+        )
     cloud = scene.gaussians
     with folder_atomic(out, overwrite=overwrite, marker="scene.json") as folder:
         progress("writing splats", 1, 4)
@@ -235,8 +243,7 @@ def load_scene_file(folder: Path) -> SceneFile:
             field="cloud",
             remedy="name the splat file beside scene.json",
         )
-    bounds = np.asarray(about.bounds)
-    if not (np.abs(bounds) < REACH).all() or (bounds[0] > bounds[1]).any():
+    if not _are_bounds(np.asarray(about.bounds)):
         raise FormatError(
             "bounds are not finite, beyond reach, or the wrong way round",
             file=path,
@@ -246,6 +253,10 @@ def load_scene_file(folder: Path) -> SceneFile:
     if "cloud" not in about.hashes or about.count < 0:
         raise FormatError("the hash or the count of the splats is missing", file=path)
     return about
+
+
+def _are_bounds(bounds: F64) -> bool:
+    return bool((np.abs(bounds) < REACH).all() and (bounds[0] <= bounds[1]).all())
 
 
 def _need(folder: Path, name: str) -> Path:

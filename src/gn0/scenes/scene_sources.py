@@ -144,7 +144,7 @@ def import_scene(
     low, high = height_band
     if not 0 <= low < high <= 100:
         raise SceneError(
-            f"height band {low:g} to {high:g} m is empty or below the floor",
+            f"height band {low:g} to {high:g} m is empty, below the floor or above 100 m",
             remedy="give two heights above the floor, the lower first, e.g. 0.10 1.50",
         )
     if not 1 <= density <= 1_000_000:

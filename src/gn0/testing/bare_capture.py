@@ -102,7 +102,7 @@ def check_bare_settings(settings: BareSettings) -> BareSettings:
     Raises:
         ConfigError: a number is out of range, or `up` is no direction.
     """
-    if read_up(settings.up) is None:
+    if read_up(settings.up, "--capture-up") is None:
         raise ConfigError(
             "up must be given, because the file is made here",
             where="--capture-up",

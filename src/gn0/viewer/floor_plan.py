@@ -49,8 +49,8 @@ def render_plan(
 ) -> Image.Image:
     """The plan as a picture of `width` x `height` pixels: north up, x to the right.
 
-    No name is written over the points `keep_clear` (x, y) [m]. Without `names`, rooms keep theirs
-    and things do not have any: for small pictures.
+    No name is written over the points `keep_clear` (x, y) [m]. Without `names`, rooms keep theirs,
+    each within its room where it fits, and things do not have any: for small pictures.
     """
     return (
         _Plan(scene, width * _SUPER, height * _SUPER, keep_clear)
@@ -73,6 +73,9 @@ def plan_bounds(scene: Scene, margin: float = 0.4) -> tuple[float, float, float,
         float(x + c1 * s + margin),
         float(y + r1 * s + margin),
     )
+
+
+_Bounds = tuple[float, float, float, float]  # left, bottom, right, top [px]
 
 
 class _Plan:
@@ -117,7 +120,7 @@ class _Plan:
             if _bottom(thing) >= _HANGING:
                 self._hanging(thing)
         self._openings()
-        self._room_names()
+        self._room_names(within=not names)
         if names:
             for thing in sorted(things, key=lambda t: -t.box.size[0] * t.box.size[1]):
                 self._name(thing)
@@ -170,7 +173,7 @@ class _Plan:
                 width=max(2, round(0.07 * self.scale)),
             )
 
-    def _room_names(self) -> None:
+    def _room_names(self, within: bool) -> None:
         for room in self.scene.rooms:
             p = np.asarray(room.polygon)
             area = _area(p)
@@ -178,8 +181,14 @@ class _Plan:
                 continue
             text = f"{room.type.upper()}  {area:.0f} sq m"
             spots = _quiet_spots(self.scene, p)
-            for size in (15, 13, 11, 9):
-                if self._place(text, spots, size, (84, 92, 104), halo=2):
+            sizes = (15, 13, 11, 9)
+            tries: list[tuple[str, int, _Bounds | None]] = [(text, size, None) for size in sizes]
+            if within:  # a name over the neighbour's floor would be taken for the neighbour's
+                name, own = room.type.upper(), (*self.at(*p.min(axis=0)), *self.at(*p.max(axis=0)))
+                tries = [(said, size, own) for said in (text, name) for size in sizes]
+                tries += [(name, size, None) for size in sizes[::-1]]
+            for said, size, bounds in tries:
+                if self._place(said, spots, size, (84, 92, 104), halo=2, bounds=bounds):
                     break
 
     def _name(self, thing: SceneObject) -> None:
@@ -202,14 +211,21 @@ class _Plan:
         size: int,
         colour: tuple[int, int, int],
         halo: int,
+        bounds: _Bounds | None = None,
     ) -> bool:
-        """Write a text at the first spot [m] where it meets no other; False when there is none."""
+        """Write a text at the first spot [m] where it meets no other; False when there is none.
+
+        It stays within `bounds`.
+        """
         face = font(size * self.pixel)
         a, b, c, d = self.pen.textbbox((0, 0), text, font=face, anchor="mm")
         for x, y in spots:
             px, py = self.at(x, y)
             box = (px + a - 4, py + b - 3, px + c + 4, py + d + 3)
             inside = box[0] > 0 and box[1] > 0 and box[2] < self.image.width
+            if bounds is not None:
+                left, bottom, right, top = bounds
+                inside &= box[0] > left and box[2] < right and box[1] > top and box[3] < bottom
             clear = all(
                 box[2] < o[0] or box[0] > o[2] or box[3] < o[1] or box[1] > o[3]
                 for o in self.labels

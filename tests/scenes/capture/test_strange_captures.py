@@ -240,3 +240,33 @@ def test_generated_flats_of_unknown_size_come_out_as_they_were(seed, scale, suff
     assert known["ceiling"] == pytest.approx(ceiling, rel=WITHIN)
     assert scene.grid.free_area == pytest.approx(truth.grid.free_area, rel=0.12)
     assert {"vote_doors", "vote_ceiling"} <= set(known)
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--seed-point", "nan", "1"], "--seed-point: (nan, 1) is not a point"),
+        (["--floor=1e9"], "--floor: 1e+09 lies far from the splats"),
+        (["--floor=-1e9"], "along up"),
+        (["--scale", "1e300"], "--scale: scale 1e+300 is not in 1e-06..1,000,000 m a unit"),
+        (["--scale", "1e-30"], "1e-30 is not in"),
+        (["--scale", "nan"], "nan is not in"),
+        (["--scale-from", "two-points:1@0,0,0@0,0,0"], "give two points that lie apart"),
+    ],
+)
+def test_numbers_beyond_reason_are_refused_by_name_and_nothing_is_written(
+    flags, said, flat, tmp_path, capsys
+):
+    """NaN ended in a traceback, and a floor far away in a folder that no verb could read."""
+    save_ply(flat, tmp_path / "scan.ply")
+    scan, out = str(tmp_path / "scan.ply"), str(tmp_path / "scene")
+    assert main(["scene", "import", scan, "--out", out, *flags]) == 2
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["scan.ply"]
+
+
+def test_the_flag_that_was_typed_is_named(tmp_path, capsys):
+    out = str(tmp_path / "scan.ply")
+    command = ["scene", "generate", "--as-capture", "--out", out, "--capture-up", "upwards"]
+    assert main(command) == 2
+    assert "--capture-up: 'upwards' is not a direction" in capsys.readouterr().err

@@ -82,7 +82,7 @@ def sample_surface(cloud: GaussianCloud, most: int = SAMPLE) -> SurfaceSample:
     keep = np.flatnonzero((cloud.opacities >= 0.1) & np.isfinite(cloud.means).all(axis=1))
     if len(keep) < 20:
         raise SceneError(
-            f"only {len(keep)} splats are opaque enough to see a surface in",
+            f"only {len(keep)} of {len(cloud)} splats are opaque enough to show a surface",
             remedy="check the file with `gn0 scene inspect`",
         )
     if len(keep) > most:

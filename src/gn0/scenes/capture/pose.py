@@ -122,6 +122,7 @@ def propose_pose(cloud: GaussianCloud, settings: CaptureSettings) -> CapturePose
             height = weighted_quantile(sample.points @ up, sample.weight, (0.005,))[0]
         else:
             height = said
+            _refuse_far(height, sample, up)
         storey = Storey()
         evidence["floor"] = f"given: flat ground at {height:.4g} along up, seen or not"
     rotation, walls = _find_rotation(sample, settings, up, evidence)
@@ -213,6 +214,21 @@ def _refuse_ceilings(candidates: list[UpCandidate], storey: Storey) -> None:
 
 def _lying(low: float) -> str:
     return f"{'low' if low >= 0 else 'high'} ({low:+.2f})"
+
+
+def _refuse_far(height: float, sample: SurfaceSample, up: F64) -> None:
+    """Refuse ground farther from everything scanned than the scan is large.
+
+    Raises:
+        SceneError: says between which heights the splats lie.
+    """
+    low, high = weighted_quantile(sample.points @ up, sample.weight, (0.005, 0.995))
+    if not low - sample.size <= height <= high + sample.size:
+        raise SceneError(
+            f"{height:g} lies far from the splats, which lie at {low:.4g} to {high:.4g} along up",
+            where="--floor",
+            remedy="give a height along up in the file's units, or --floor bottom",
+        )
 
 
 def _floor_words(floor: FloorPlane) -> str:

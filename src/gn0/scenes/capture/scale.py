@@ -185,7 +185,9 @@ def _measure(
         raise SceneError(
             f"{rule.kind} measures {length:.4g} units in the file",
             where="--scale-from",
-            remedy="the point must lie above the floor; check it and --up",
+            remedy="give two points that lie apart"
+            if rule.kind == "two-points"
+            else "the point must lie above the floor; check it and --up",
         )
     scale = rule.metres / length
     return scale, f"{scale:.5g} m a unit, from {rule.kind} {rule.metres:g} m = {length:.4g} units"

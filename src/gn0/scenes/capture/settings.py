@@ -55,6 +55,7 @@ class ScaleRule:
     points: tuple[tuple[float, float, float], ...] = ()
 
 
+LEAST_SCALE, MOST_SCALE = 1e-6, 1e6  # m a unit: files in micrometres, files in megametres
 _POINTS = {"ceiling": 0, "camera-height": 1, "door-height": 1, "two-points": 2}
 _FORMS = (
     "use ceiling:2.6, camera-height:1.5@x,y,z, door-height:2.0@x,y,z or "
@@ -74,11 +75,17 @@ def check_capture_settings(settings: CaptureSettings) -> CaptureSettings:
         read_scale_rule(settings.scale_from)
         if settings.scale:
             raise ConfigError("--scale and --scale-from are both given", remedy="give one of them")
-    if not (math.isfinite(settings.scale) and 0 <= settings.scale <= 1e6):
+    if not (settings.scale == 0 or LEAST_SCALE <= settings.scale <= MOST_SCALE):
         raise ConfigError(
-            f"scale {settings.scale:g} is not a positive number",
+            f"scale {settings.scale:g} is not in {LEAST_SCALE:g}..{MOST_SCALE:,.0f} m a unit",
             where="--scale",
             remedy="give the metres that one unit of the file stands for, e.g. 0.01",
+        )
+    if settings.seed_point is not None and not all(map(math.isfinite, settings.seed_point)):
+        raise ConfigError(
+            f"({settings.seed_point[0]:g}, {settings.seed_point[1]:g}) is not a point",
+            where="--seed-point",
+            remedy="give X Y [m], read from the map of capture.png, e.g. --seed-point 2.5 1.0",
         )
     if not (math.isfinite(settings.least_area) and settings.least_area >= 0):
         raise ConfigError(
@@ -89,8 +96,8 @@ def check_capture_settings(settings: CaptureSettings) -> CaptureSettings:
     return settings
 
 
-def read_up(text: str) -> F64 | None:
-    """The direction [3] that a user names as up; None for "auto".
+def read_up(text: str, where: str = "--up") -> F64 | None:
+    """The direction [3] that a user names as up, as the flag `where`; None for "auto".
 
     Raises:
         ConfigError: neither an axis nor a direction.
@@ -108,9 +115,9 @@ def read_up(text: str) -> F64 | None:
     if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
         raise ConfigError(
             f"{text!r} is not a direction",
-            where="--up",
+            where=where,
             remedy="use auto, x, -x, y, -y, z, -z or three numbers such as 0,-0.98,0.2 "
-            "(write --up=-y, with '=', for values that start with a minus)",
+            f"(write {where}=-y, with '=', for values that start with a minus)",
         )
     return np.asarray(up / np.linalg.norm(up))
 

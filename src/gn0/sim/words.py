@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.missions.episode import Episode
 from gn0.plugins import describe_error
 from gn0.sim.sensor.table import check_sensors, sensor_names
@@ -168,13 +168,21 @@ def _refuse(episode: Episode, wrong: str) -> EpisodeError:
     )
 
 
+def _name_sensor(name: object) -> str:
+    return name if isinstance(name, str) else brief(name)
+
+
 def split_sensors(names: Iterable[str]) -> tuple[frozenset[str], frozenset[str]]:
     """Sensor names of an environment: what is measured, and how the agent is told.
 
     Raises:
         ConfigError: a name is unknown; lists those that exist.
     """
-    found = frozenset(names)
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise ConfigError(
+            f"sensors are {brief(names)}", remedy="give a list of names, as sensors=('rgb',)"
+        )
+    found = frozenset(map(_name_sensor, names))
     known = WORDS.union(sensor_names())
     unknown = sorted(map(str, found - known))
     if unknown:

@@ -108,6 +108,7 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Run, print the table, write the report; 1 when an episode failed to run."""
     from gn0.bench.report import write_report
+    from gn0.bench.run_folder import check_run_folder
     from gn0.bench.runner import run_suite
     from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.result_tables import print_summaries
@@ -116,6 +117,7 @@ def run(args: Args) -> int:
     from gn0.suites.track import read_track
 
     out = Path(args.out)
+    check_run_folder(out)  # before a suite is written into it
     say_backend(args.backend)
     with draw_progress() as progress:
         suite = open_named(args.suite, beside=out, progress=progress)

@@ -71,6 +71,16 @@ def test_another_run_is_told_by_what_differs(
     assert "--fresh" in str(error.value)
 
 
+def test_another_suite_is_told_by_name_and_size(
+    flats_suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    straight(flats_suite, tmp_path)
+    other = flats_suite.with_profile("paper")
+    assert other.hash != flats_suite.hash
+    with pytest.raises(BenchError, match=r"another suite \(\S+ of 2 episodes, \w+, now \S+ of 2 "):
+        straight(other, tmp_path)
+
+
 def test_a_run_of_an_earlier_version_is_told_by_its_digests(
     flats_suite: Suite, tmp_path: Path
 ) -> None:

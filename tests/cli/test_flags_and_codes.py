@@ -318,3 +318,24 @@ def test_a_table_has_the_low_end_of_an_interval_first(capsys: pytest.CaptureFixt
     _print_table([summary], "")
     said = capsys.readouterr().out
     assert "3/4" in said and "25.0–75.0" in said and "75.0–25.0" not in said
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [
+        (["bench", "run", "suite", "--policy", "random", "--out", ""], "--out"),
+        (["data", "build", "", "--out", "data"], "episodes"),
+        (["export", "navila", "data", "--out", ""], "--out"),
+    ],
+)
+def test_a_name_that_an_unset_variable_left_empty_is_not_the_folder_here(
+    line: list[str],
+    place: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(line) == 2
+    assert f"[CONFIG] {place}: it is empty" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -77,11 +77,15 @@ def tell_difference(
     if name == "config":
         parts = _compare(before, told)
         if parts:
-            return f"another config: {', '.join(parts)}"
-    if name == "suite" and before.get("suite") not in (None, told["suite"]):
-        was, now = f"{brief(before['suite'])} {was}", f"{brief(told['suite'])} {now}"
+            return f"another config: {'; '.join(parts)}"
+    if name == "suite" and "suite" in before:
+        was, now = f"{_tell_suite(before)} {was}", f"{_tell_suite(told)} {now}"
     what = f"source of policy {head.get('policy')!r}" if name == "source" else name
     return f"another {what} ({_plain(was)}, now {_plain(now)})"
+
+
+def _tell_suite(told: Mapping[str, Any]) -> str:
+    return f"{brief(told.get('suite'))} of {told.get('episodes')} episodes,"
 
 
 def _compare(before: Mapping[str, Any], now: Mapping[str, Any]) -> Sequence[str]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.missions.episode import Episode
 from gn0.plugins import describe_error
-from gn0.sim.sensor.table import check_sensors, sensor_names
+from gn0.sim.sensor.table import check_sensors, sensor_names, several_names
 
 WORDS: frozenset[str] = frozenset({"instruction", "instruction_tokens", "instruction_index"})
 PAD, END, FIRST_BYTE = 0, 1, 3
@@ -178,11 +178,7 @@ def split_sensors(names: Iterable[str]) -> tuple[frozenset[str], frozenset[str]]
     Raises:
         ConfigError: a name is unknown; lists those that exist.
     """
-    if isinstance(names, str) or not isinstance(names, Iterable):
-        raise ConfigError(
-            f"sensors are {brief(names)}", remedy="give a list of names, as sensors=('rgb',)"
-        )
-    found = frozenset(map(_name_sensor, names))
+    found = frozenset(map(_name_sensor, several_names(names)))
     known = WORDS.union(sensor_names())
     unknown = sorted(map(str, found - known))
     if unknown:

@@ -169,6 +169,11 @@ def test_a_damaged_dataset_is_told_and_no_success(
     assert "40 files, 2.5 MB, 9 samples" in said
     assert ("… and 3 more" in said) == ("file-19" in said) == bool(damaged)
     assert "file-20" not in said
+    assert ("make them again: gn0 data repair DATA\n" in said) == bool(damaged)
+    damages += [Damage("source", "episodes.parquet", "cut short")]  # not made from what is there
+    report.ok = False
+    assert main(["data", "verify", "DATA"]) == 1
+    assert "make them again: gn0 data repair DATA --suite SUITE\n" in capsys.readouterr().out
 
 
 def test_a_comparison_names_each_side(

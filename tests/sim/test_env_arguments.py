@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from gn0.errors import ConfigError, EpisodeError, SimError
+from gn0.errors import ConfigError, EpisodeError, SimError, StorageError
 from gn0.sim import GoalNavEnv, PathMotion, VectorEnv
 
 SENSORS = ("goal_vector",)
@@ -57,9 +57,11 @@ def test_what_is_kept_is_not_negative(name) -> None:
         VectorEnv(1, **{name: -1})
 
 
-def test_a_scene_given_as_a_suite_is_told_apart(tmp_path) -> None:
+def test_a_folder_that_is_no_suite_is_named_as_such(tmp_path) -> None:
+    with pytest.raises(StorageError, match=r"not a suite.*gn0 bench suite"):
+        VectorEnv(1, suite=tmp_path)
     (tmp_path / "scene.json").write_text("{}")
-    with pytest.raises(ConfigError, match="give it as scene="):
+    with pytest.raises(StorageError, match="give it as scene="):
         VectorEnv(1, suite=tmp_path)
 
 

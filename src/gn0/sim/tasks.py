@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from gn0.config import decode_json
-from gn0.errors import ConfigError, EpisodeError, FormatError, brief
+from gn0.errors import ConfigError, EpisodeError, FormatError, StorageError, brief
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.episode_files import load_episodes
@@ -117,8 +117,11 @@ def load_tasks(
             raise ConfigError("both scene and suite are given", remedy="give one of them")
         folder = plain_path(suite)
         file = folder / "suite.json"
-        if not file.exists() and (folder / "scene.json").exists():
-            raise ConfigError("this is a scene, no suite", where=folder, remedy="give it as scene=")
+        if folder.is_dir() and not file.exists():
+            remedy = "make one with `gn0 bench suite` or `gn0 missions generate`"
+            if (folder / "scene.json").exists():
+                remedy = "it is a scene: give it as scene="
+            raise StorageError("not a suite: it has no suite.json", where=folder, remedy=remedy)
         view = decode_json(read_bytes(file, SUITE_LIMIT), _SuiteView, file=file)
         paths = {entry.id: safe_join(folder, entry.folder) for entry in view.scenes}
         chosen = preset or view.camera

@@ -40,6 +40,23 @@ def test_the_command_line_writes_no_suite_into_a_scene(
     assert [path.name for path in tmp_path.iterdir()] == ["bank.json"]
 
 
+def test_a_first_attempt_that_fails_leaves_nothing_in_the_way(
+    flats_suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = sorted({episode.scene_id for episode in flats_suite.episodes})
+    one, other = (str(flats_suite.scene_folder(name)) for name in names[:2])
+    out = str(tmp_path / "run")
+    assert main(["bench", "run", one, "--policy", "randm", "--out", out]) == 2
+    assert not Path(out).exists()
+    few = ["--policy", "random", "--limit", "1", "--no-report", "--out", out]
+    assert main(["bench", "run", one, *few]) == 0
+    assert main(["bench", "run", other, *few]) == 2
+    assert "another scene" in capsys.readouterr().err
+    assert main(["bench", "run", other, *few, "--fresh"]) == 0
+    assert main(["bench", "run", f"{out}/suite/scenes/{names[1]}", *few, "--fresh"]) == 0
+    assert main(["bench", "run", f"{out}/suite", *few, "--fresh"]) == 0
+
+
 def test_a_file_of_the_users_own_is_no_obstacle(flats_suite: Suite, tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("what tee wrote")
     check_run_folder(tmp_path)

@@ -14,7 +14,7 @@ from importlib import import_module, invalidate_caches, metadata, util
 from pathlib import Path
 from typing import Any, Literal
 
-from gn0.errors import ConfigError
+from gn0.errors import ConfigError, brief
 
 # in the name of an option: never written down
 SECRETS = ("token", "password", "secret", "api_key")
@@ -104,10 +104,14 @@ def register(kind: Kind, name: str, plugin: Any) -> None:
     """Register a plug-in object or class under a name.
 
     Raises:
-        ConfigError: there is no such kind, or the name is taken by something else.
+        ConfigError: there is no such kind, the name is none, or it is taken by something else.
     """
     if kind not in _BUILTIN:
         raise ConfigError(f"no kind of plug-in {kind!r}", remedy=f"known: {', '.join(_BUILTIN)}")
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise ConfigError(
+            f"{brief(name)} is no name of a {kind}", remedy="give a text that can be typed"
+        )
     if name in _BUILTIN[kind] or _registered.get((kind, name), plugin) is not plugin:
         raise ConfigError(f"{kind} {name!r} is already registered", remedy="choose another name")
     _registered[kind, name] = plugin

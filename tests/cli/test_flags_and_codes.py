@@ -171,6 +171,11 @@ def test_a_damaged_dataset_is_told_and_no_success(
     assert "40 files, 2.5 MB, 9 samples" in said
     assert ("… and 3 more" in said) == ("file-19" in said) == bool(damaged)
     assert "file-20" not in said
+    assert ("make them again: gn0 data repair DATA\n" in said) == bool(damaged)
+    damages += [Damage("source", "episodes.parquet", "cut short")]  # not made from what is there
+    report.ok = False
+    assert main(["data", "verify", "DATA"]) == 1
+    assert "make them again: gn0 data repair DATA --suite SUITE\n" in capsys.readouterr().out
 
 
 def test_a_comparison_names_each_side(
@@ -388,3 +393,24 @@ def test_pictures_of_scenes_are_of_the_kind_that_their_name_says(tmp_path: Path)
     assert main(["scene", "furniture", "seats/sofa", "--out", str(tmp_path / "sofa.txt")]) == 2
     assert main(["scene", "show", "nowhere", "--out", str(tmp_path / "sofa.txt")]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["sofa.jpg"]
+
+
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [
+        (["bench", "run", "suite", "--policy", "random", "--out", ""], "--out"),
+        (["data", "build", "", "--out", "data"], "episodes"),
+        (["export", "navila", "data", "--out", ""], "--out"),
+    ],
+)
+def test_a_name_that_an_unset_variable_left_empty_is_not_the_folder_here(
+    line: list[str],
+    place: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(line) == 2
+    assert f"[CONFIG] {place}: it is empty" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -42,3 +42,9 @@ def test_what_is_no_number_is_told_by_the_options_name(
     with pytest.raises(ConfigError, match=f"is not {wanted}") as caught:
         build_plugin("policy", "counts_for_options", {name: value})
     assert caught.value.where == name
+
+
+@pytest.mark.parametrize("name", ["", " ", "a\n", 3, None])
+def test_what_cannot_be_typed_is_no_name_of_a_plug_in(name) -> None:
+    with pytest.raises(ConfigError, match="is no name of a policy"):
+        register("policy", name, object)

@@ -58,12 +58,14 @@ def test_two_exports_into_one_folder_are_refused(
     out = tmp_path / "out"
     run_export(short_source, "vlnce-r2r", out)
     before = read_tree(out)
-    for format, settings in (
-        ("vlnce-rxr", ExportSettings()),
-        ("vlnce-r2r", ExportSettings(split="train")),
+    for format, settings, said in (
+        ("vlnce-rxr", ExportSettings(), "not vlnce-rxr"),
+        ("vlnce-r2r", ExportSettings(split="train"), "split is '' there and 'train' here"),
+        ("vlnce-r2r", ExportSettings(limit=1), "limit is 0 there and 1 here"),
     ):
-        with pytest.raises(StorageError, match="holds another export"):
+        with pytest.raises(StorageError, match="holds another export") as error:
             run_export(short_source, format, out, settings)
+        assert said in str(error.value)
     assert read_tree(out) == before
 
 
@@ -379,3 +381,8 @@ def test_the_bar_moves_within_an_episode(short_source: ExportSource, tmp_path: P
     )
     pictures = [count for stage, count, _ in said if stage == "pictures"]
     assert pictures == list(range(1, len(pictures) + 1)) and len(pictures) >= done.frames > 2
+
+
+def test_a_folder_that_is_no_export_is_named_as_such(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match=r"not an export of ours.*--format"):
+        load_export_file(tmp_path)

@@ -302,3 +302,9 @@ def test_a_scene_without_labels_says_so(room_scene, make_episode) -> None:
     simulator = open_simulator(room_scene, "vlnce_r2r", "cpu", {"semantic"})
     with pytest.raises(RenderError, match="label"):
         simulator.reset(make_episode())
+
+
+def test_one_text_is_not_several_sensors() -> None:
+    for call in (table.check_sensors, table.carry_sensors):
+        with pytest.raises(ConfigError, match=r"sensors are 'rgb'.*as sensors=\('rgb',\)"):
+            call("rgb")

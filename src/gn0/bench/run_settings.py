@@ -46,11 +46,16 @@ def describe_settings(settings: Open) -> dict[str, Any]:
     for name, usual in (("agents", 1), ("control", "none")):
         if known[name] == usual:
             del known[name]
-    known["options"] = {
-        name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
-        for name, value in known["options"].items()
-    }
+    known["options"] = mask_secrets(known["options"])
     return known
+
+
+def mask_secrets(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a policy without the values of those that look like a secret."""
+    return {
+        name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
+        for name, value in options.items()
+    }
 
 
 def list_versions() -> dict[str, str]:

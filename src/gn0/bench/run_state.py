@@ -30,6 +30,7 @@ from gn0.bench.results import (
     report_release,
 )
 from gn0.bench.run_bank import check_bank
+from gn0.bench.run_folder import tell_difference
 from gn0.bench.run_session import stamp_now, tell_earlier
 from gn0.bench.run_settings import describe_settings, list_versions
 from gn0.bench.worker_messages import Open
@@ -79,6 +80,7 @@ class RunState:
         episodes: Sequence[Episode],
         *,
         identity: dict[str, str],
+        told: dict[str, Any],
         time_limit: float,
         progress: Progress,
         keep_failed: bool = False,
@@ -91,6 +93,7 @@ class RunState:
         self.episodes = episodes
         self.ledger = Ledger(episodes)
         self.identity = identity
+        self.told = told  # what is behind the digests, in words
         self.time_limit = time_limit
         self.progress = progress
         self.journal = Journal(out / JOURNAL)
@@ -108,8 +111,9 @@ class RunState:
 
     def _read_journal(self) -> None:
         first = next((record for _, record in self.journal.scan()), msgspec.UNSET)
+        mine = {"type": "run", **self.identity, "told": self.told}
         if first is msgspec.UNSET:
-            self.journal.append({"type": "run", **self.identity})
+            self.journal.append(mine)
             return
         head = first if isinstance(first, dict) else {}
         others = [name for name, value in self.identity.items() if head.get(name) != value]
@@ -117,13 +121,11 @@ class RunState:
             self.journal.close()
             forget_run(self.out)
             self.journal = Journal(self.out / JOURNAL)
-            self.journal.append({"type": "run", **self.identity})
+            self.journal.append(mine)
             return
-        for name in others:
-            what = f"source of policy {head.get('policy')!r}" if name == "source" else name
+        if others:
             raise BenchError(
-                f"holds a run of another {what} ({head.get(name) or 'none'}, now "
-                f"{self.identity[name] or 'none'})",
+                f"holds a run of {tell_difference(head, self.identity, self.told)}",
                 where=self.out,
                 remedy=f"give --bank as before; or {_RESUME}" if self._lacks_bank else _RESUME,
             )

@@ -23,8 +23,9 @@ from gn0.bench.results import (
     RunSummary,
 )
 from gn0.bench.run_bank import check_bank
+from gn0.bench.run_folder import check_run_folder, tell_inputs
 from gn0.bench.run_session import ask_card, check_name
-from gn0.bench.run_settings import build_settings
+from gn0.bench.run_settings import build_settings, mask_secrets
 from gn0.bench.run_state import RunState, forget_run, sweep_run
 from gn0.bench.schedule import Schedule
 from gn0.bench.worker_messages import Open
@@ -144,6 +145,7 @@ def run_suite(
     shows = judged or sees_pictures(policy_name, suite.map_mode, isolated=isolate) is True
     shown = check_bank(episodes, bank) if shows or bank is not None else ""
     out = plain_path(out)
+    check_run_folder(out)
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
     asked = backend
@@ -177,6 +179,12 @@ def run_suite(
                 "policy": policy_name,
                 "source": source,
             },
+            told=tell_inputs(
+                *(suite, mask_secrets(options), backend, len(episodes)),
+                isolated=isolate,
+                control=known,
+                bank=shown,
+            ),
             time_limit=episode_time_limit,
             progress=progress,
             keep_failed=keep_failed,

@@ -17,6 +17,7 @@ from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.replay import PolicyReplay
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary, load_results
+from gn0.bench.run_folder import check_run_folder, tell_inputs
 from gn0.bench.run_session import check_name
 from gn0.bench.run_settings import build_settings
 from gn0.bench.run_state import RunState, forget_run, sweep_run
@@ -174,6 +175,7 @@ def open_recorder(
     check_name(name)
     episodes = choose_episodes(suite, max_episodes)
     folder = plain_path(out)
+    check_run_folder(folder)
     check_room(folder, len(episodes) * BYTES_PER_EPISODE)
     backend = "auto"  # what is drawn is for the person alone
     settings = build_settings(suite, HUMAN, {}, (), backend)
@@ -184,7 +186,8 @@ def open_recorder(
         "policy": HUMAN,
         "source": "",
     }
-    about: dict[str, Any] = {"identity": identity, "time_limit": float("inf")}
+    told = tell_inputs(suite, {}, backend, len(episodes))
+    about: dict[str, Any] = {"identity": identity, "told": told, "time_limit": float("inf")}
     with lock_folder(folder, refuse=BenchError):
         sweep_run(folder)
         if not resume:

@@ -8,6 +8,7 @@ scored ones never.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +17,7 @@ import msgspec
 import tyro
 
 from gn0.config import Config
-from gn0.errors import ConfigError
+from gn0.errors import BenchError, ConfigError
 
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
@@ -107,15 +108,23 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Run, print the table, write the report; 1 when an episode failed to run."""
+    from gn0.bench.identity import digest_policy
     from gn0.bench.report import write_report
+    from gn0.bench.run_folder import check_run_folder
     from gn0.bench.runner import run_suite
     from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.result_tables import print_summaries
+    from gn0.plugins import import_plugins
     from gn0.render.open import visible_backend
     from gn0.suites.named_suites import open_named
     from gn0.suites.track import read_track
 
     out = Path(args.out)
+    check_run_folder(out)  # and the policy, before the suite of a scene is written into it
+    modules = import_plugins(args.plugin, only_locate=args.isolate)
+    digest_policy(args.policy, modules, isolated=args.isolate)
+    if args.fresh:
+        _forget_suite(Path(args.suite), out / "suite")
     say_backend(args.backend)
     with draw_progress() as progress:
         suite = open_named(args.suite, beside=out, progress=progress)
@@ -156,6 +165,18 @@ def run(args: Args) -> int:
     if report is not None:
         print(f"report:  {report}")
     return 0 if not summary.failed else 1
+
+
+def _forget_suite(scene: Path, suite: Path) -> None:
+    """Remove the episodes that an earlier run sampled, where a scene is to be sampled again."""
+    if suite.is_symlink() or not (suite / "suite.json").is_file():
+        return
+    from gn0.locked_folder import lock_folder
+
+    inside = scene.resolve().is_relative_to(suite.resolve())
+    if (scene / "scene.json").is_file() and not (scene / "suite.json").is_file() and not inside:
+        with lock_folder(suite.parent, refuse=BenchError):
+            shutil.rmtree(suite)
 
 
 def read_options(options: Sequence[str]) -> dict[str, Any]:

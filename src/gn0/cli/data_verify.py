@@ -55,7 +55,8 @@ def run(args: Args) -> int:
     size = f"{files}, {report.size / 1e6:.1f} MB, {samples}"
     if not report.ok:
         print(f"damaged: {count_damages(report.damages)}, out of {size}")
-        print(f"make them again: gn0 data repair {args.dataset}")
+        source = " --suite SUITE" if any(d.kind == "source" for d in report.damages) else ""
+        print(f"make them again: gn0 data repair {args.dataset}{source}")
         return 1
     caches = ", ".join(report.layouts) or "none: `gn0 data render` makes one"
     print(f"whole: {size}; caches of pictures: {caches}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import msgspec
 import tyro
 
 from gn0.config import Config
@@ -53,11 +54,11 @@ class Args(Config, frozen=True):
     out: str
     camera: str = ""
     split: str = ""
-    limit: int = 0
-    quality: int = 92
-    fps: int = 0
-    every: int = 1
-    spacing: float = 0.0625
+    limit: Annotated[int, msgspec.Meta(ge=0)] = 0
+    quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 92
+    fps: Annotated[int, msgspec.Meta(ge=0, le=240)] = 0
+    every: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1
+    spacing: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0625
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
     merge_turns: bool = False
     vocabulary: str = ""

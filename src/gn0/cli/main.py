@@ -235,6 +235,7 @@ def edit_distance(a: str, b: str) -> int:
 
 def parse_arguments(module: Any, verb: str, rest: list[str]) -> Any:
     """Parse and check a verb's `Args`; exits with usage and code 2 when they do not fit."""
+    import msgspec
     import tyro
 
     from gn0.config import check_config
@@ -248,6 +249,13 @@ def parse_arguments(module: Any, verb: str, rest: list[str]) -> Any:
         args=rest,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
     )
+    for given in msgspec.structs.fields(module.Args):
+        if given.required and getattr(args, given.name) == "":  # Path("") would be the folder here
+            raise ConfigError(
+                "it is empty",
+                where=f"--{given.name.replace('_', '-')}" if given.name == "out" else given.name,
+                remedy="give a name; a shell variable that is not set leaves it empty",
+            )
     try:
         return check_config(args)
     except ConfigError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gn0.config import Config, load_json
-from gn0.errors import FormatError
+from gn0.errors import FormatError, StorageError
 from gn0.export.exporter import ExportSettings
 from gn0.missions.episode import AgentSpec
 
@@ -52,6 +52,12 @@ def load_export_file(folder: Path | str) -> ExportFile:
         FormatError: damaged, or of another layout.
     """
     path = Path(folder) / EXPORT_FILE
+    if Path(folder).is_dir() and not path.exists():
+        raise StorageError(
+            f"not an export of ours: it has no {EXPORT_FILE}",
+            where=folder,
+            remedy="make one with `gn0 export`, or name the --format of one that others wrote",
+        )
     about = load_json(path, ExportFile)
     if about.layout != EXPORT_LAYOUT:
         raise FormatError(

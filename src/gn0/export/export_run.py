@@ -17,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from gn0.errors import DataError, Gn0Error, StorageError
+from gn0.errors import DataError, Gn0Error, StorageError, brief
 from gn0.export.export_card import write_card
 from gn0.export.export_file import EXPORT_FILE, EXPORT_LAYOUT, ExportFile, load_export_file
 from gn0.export.exporter import (
@@ -235,12 +235,25 @@ def _claim(folder: Path, about: ExportFile) -> ExportFile | None:
     earlier = load_export_file(folder)
     if earlier.digest != about.digest or earlier.format != about.format:
         raise StorageError(
-            f"the folder holds another export: {earlier.format} of {earlier.dataset!r}, with other "
-            "data or settings",
+            f"the folder holds another export: {_tell_other(earlier, about)}",
             where=folder,
-            remedy="choose another --out",
+            remedy="choose another --out, or give --fresh to forget it",
         )
     return earlier
+
+
+def _tell_other(earlier: ExportFile, about: ExportFile) -> str:
+    """What an earlier export is, and in what it differs from this one."""
+    what = f"{earlier.format} of {earlier.dataset!r}"
+    if earlier.format != about.format:
+        return f"{what}, not {about.format}"
+    there, here = msgspec.to_builtins(earlier.settings), msgspec.to_builtins(about.settings)
+    changed = [
+        f"{name} is {brief(there[name])} there and {brief(here[name])} here"
+        for name in here
+        if there[name] != here[name]
+    ]
+    return f"{what}, {'; '.join(changed)}" if changed else f"{what}, with other data"
 
 
 def _write_trips(

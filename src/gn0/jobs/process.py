@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO
 
 LAST_WORDS = 200  # lines of a worker's stderr that are kept
+_LAST_STEPS = 2.0  # seconds that an interpreter on its way out may take
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,10 @@ class WorkerProcess:
                 self._process.kill()
 
     def end(self) -> Ended:
-        """Kill it, and say how it ended."""
+        """Kill it, and say how it ended: by itself, where it has closed its stdout already."""
+        if not self._listeners[0].is_alive() or self._process.poll() is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=_LAST_STEPS)  # else our kill would be told as its end
         self.kill()
         self._process.wait()
         for thread in self._listeners:

@@ -9,8 +9,9 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.missions.episode import Episode
+from gn0.sim.env_arguments import episode_index
 
 
 def choose_episodes(
@@ -49,10 +50,10 @@ def choose_episodes(
         if isinstance(value, Episode):
             numbers.append(add(value))
             continue
-        index = ids.get(value, -1) if isinstance(value, str) else int(value)
+        index = ids.get(value, -1) if isinstance(value, str) else episode_index(value)
         if not 0 <= index < len(own):
             raise EpisodeError(
-                f"no episode {value!r}",
+                f"no episode {brief(value)}",
                 remedy=f"give an id, an Episode or 0..{len(own) - 1}",
             )
         numbers.append(int(own[index]))

@@ -49,6 +49,13 @@ from gn0.sim.device_walkers import WalkersDevice
 from gn0.sim.device_words import LayoutDevice, Observations, WordsDevice, rename_words
 from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.env import build_spaces, picture_names, shape_of_maps
+from gn0.sim.env_arguments import (
+    check_motions,
+    check_settings,
+    read_options,
+    read_seeds,
+    whole_number,
+)
 from gn0.sim.motion import Motion
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
@@ -160,7 +167,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         bank: AvatarBank | Path | str | None = None,
         people_memory: int | None = None,
     ) -> None:
-        self.num_envs = num_envs
+        check_settings(agent=agent, success_distance=success_distance, history_tile=history_tile)
+        self.num_envs = num_envs = whole_number(num_envs, "num_envs", -np.inf)
         self.sensors, words = split_sensors(sensors)
         self.words = rename_words(words)
         self.single_action_space = build_action_space(action_space)
@@ -191,7 +199,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._eyes = open_eyes(
             *(config, self.tasks, self.device, num_envs, renderer, map_shape),
             visible_sets=visible_sets,
-            motions=motions,
+            motions=check_motions(motions, self.tasks.scenes),
             bank=bank,
             people_memory=people_memory,
             last=final_pictures,
@@ -289,21 +297,15 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             ConfigError: seeds or mask of another length.
             SimError: a device action before was none.
         """
-        options = options or {}
+        options = read_options(options, ("episode", "reset_mask"))
         which = choose_masked(options.get("reset_mask"), self.num_envs, begun=self._begun)
-        if isinstance(seed, int | np.integer):
-            seed = [int(seed) + i for i in range(self.num_envs)]
-        if seed is not None and len(seed) != self.num_envs:
-            raise ConfigError(
-                f"{len(seed)} seeds for {self.num_envs} environments",
-                remedy="give one each, or one integer for all",
-            )
+        seeds = read_seeds(seed, self.num_envs)
         chosen = None
         if options.get("episode") is not None:
             chosen = self._choose(options["episode"])[which]
         self._begun = False  # if this fails, all must be reset
         self.simulator.limit_steps(self.tasks.max_steps)
-        self.simulator.reset(which, seed, chosen)
+        self.simulator.reset(which, seeds, chosen)
         self._begun = True
         return self._telling.observe(), self._telling.inform()
 

@@ -37,13 +37,20 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.people.person import PEOPLE_MOST
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space, read_action
 from gn0.sim.ego_map import MapView, read_map_view
+from gn0.sim.env_arguments import (
+    check_motions,
+    check_settings,
+    episode_index,
+    read_code,
+    read_options,
+)
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise
 from gn0.sim.open import name_look, open_simulator, split_look
@@ -138,6 +145,13 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
+        check_settings(
+            backend=backend,
+            agent=agent,
+            noise=noise,
+            success_distance=success_distance,
+            history_tile=history_tile,
+        )
         self.render_mode = render_mode
         self.sensors, self.words = split_sensors(sensors)
         self.success_distance = success_distance
@@ -151,7 +165,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
-        self._motions = dict(motions or {})
+        self._motions = check_motions(motions, self.tasks.scenes)
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         self._simulators: OrderedDict[str, Simulator] = OrderedDict()
@@ -185,9 +199,11 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
 
         Raises:
             EpisodeError: no such episode, or it does not fit its scene.
+            ConfigError: no such option.
         """
+        options = read_options(options, ("episode",))
         super().reset(seed=seed)
-        episode = self._choose((options or {}).get("episode"))
+        episode = self._choose(options.get("episode"))
         self._simulator = self._open(name_look(episode))
         observation = self._simulator.reset(episode)
         self._distance = self._measure(self._simulator.pose)
@@ -207,7 +223,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         before = self._distance
         result = simulator.step(
-            read_action(action, simulator.agent) if self.continuous else int(action)
+            read_action(action, simulator.agent) if self.continuous else read_code(action)
         )
         self._distance = self._measure(simulator.pose)
         within = simulator.episode.success_within(self.success_distance)
@@ -256,13 +272,14 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             return episodes[int(self.np_random.integers(len(episodes)))]
         if isinstance(wanted, Episode):
             return wanted
-        if isinstance(wanted, int) and 0 <= wanted < len(episodes):
-            return episodes[wanted]
+        if 0 <= (index := episode_index(wanted)) < len(episodes):
+            return episodes[index]
         for episode in episodes:
-            if episode.id == wanted:
+            if isinstance(wanted, str) and episode.id == wanted:
                 return episode
         raise EpisodeError(
-            f"no episode {wanted!r}", remedy=f"give an id, an Episode or 0..{len(episodes) - 1}"
+            f"no episode {brief(wanted)}",
+            remedy=f"give an id, an Episode or 0..{len(episodes) - 1}",
         )
 
     def _open(self, look: str) -> Simulator:

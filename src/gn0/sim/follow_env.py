@@ -51,7 +51,8 @@ def choose_ways(
     """
     if suite is not None:
         return scene, episodes, settings
-    settings = {"max_steps": FOLLOW.max_steps, **settings}
+    if settings.get("max_steps") is None:
+        settings = settings | {"max_steps": FOLLOW.max_steps}
     if settings.get("agent") is None and settings.get("preset") is None:
         settings["preset"] = "follower"
     if episodes is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from gn0.config import decode_json
-from gn0.errors import ConfigError, EpisodeError, FormatError
+from gn0.errors import ConfigError, EpisodeError, FormatError, StorageError, brief
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.episode_files import load_episodes
@@ -18,6 +18,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
+from gn0.sim.env_arguments import whole_number
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.state import MapMode
@@ -99,16 +100,28 @@ def load_tasks(
         seed: seed of the sampling.
 
     Raises:
-        ConfigError: scene and suite both given, or an unknown preset.
+        ConfigError: scene and suite both given, an unknown preset, a setting of another type, or
+            max_steps below 1.
         StorageError, FormatError: a file is missing or broken.
         EpisodeError: no episode, or one of a scene that is not here.
     """
+    if max_steps is not None:
+        max_steps = whole_number(max_steps, "max_steps")
     given = load_episodes(episodes) if isinstance(episodes, str | Path) else episodes
+    if isinstance(given, Episode) or not isinstance(given, Iterable | None):
+        raise ConfigError(
+            f"episodes are {brief(given)}", remedy="give a list of Episode, or a Parquet file"
+        )
     if suite is not None:
         if scene is not None:
             raise ConfigError("both scene and suite are given", remedy="give one of them")
         folder = plain_path(suite)
         file = folder / "suite.json"
+        if folder.is_dir() and not file.exists():
+            remedy = "make one with `gn0 bench suite` or `gn0 missions generate`"
+            if (folder / "scene.json").exists():
+                remedy = "it is a scene: give it as scene="
+            raise StorageError("not a suite: it has no suite.json", where=folder, remedy=remedy)
         view = decode_json(read_bytes(file, SUITE_LIMIT), _SuiteView, file=file)
         paths = {entry.id: safe_join(folder, entry.folder) for entry in view.scenes}
         chosen = preset or view.camera
@@ -123,8 +136,10 @@ def load_tasks(
     if scene is None:
         places, default_count = [build_example_scene()], EXAMPLE_EPISODES
     else:
-        several = [scene] if isinstance(scene, Scene | Path | str) else list(scene)
-        places = [s if isinstance(s, Scene) else load_scene(Path(s)) for s in several]
+        several = [scene] if isinstance(scene, Scene | Path | str) else scene
+        if not isinstance(several, Iterable):
+            raise ConfigError(f"scene is {brief(scene)}", remedy="give a Scene, a folder or a list")
+        places = [open_place(place) for place in several]
         default_count = 50
     chosen = preset or "gn_bench"
     body = agent or find_preset(chosen).agent
@@ -174,6 +189,19 @@ def _by_id(places: Sequence[Scene]) -> dict[str, Callable[[], Scene]]:
             )
         scenes[place.id] = partial(_itself, place)
     return scenes
+
+
+def open_place(place: Scene | Path | str) -> Scene:
+    """A scene, read where it is the path of a scene folder.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    if isinstance(place, Scene):
+        return place
+    if not isinstance(place, Path | str) or not str(place):
+        raise ConfigError(f"a scene is {brief(place)}", remedy="give a Scene or its folder")
+    return load_scene(Path(place))
 
 
 def _itself(scene: Scene) -> Scene:

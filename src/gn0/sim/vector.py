@@ -27,7 +27,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.geometry import F64, U8
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.open import visible_backend
@@ -44,6 +44,14 @@ from gn0.sim.env import (
     move_channels,
     picture_names,
     shape_of_maps,
+)
+from gn0.sim.env_arguments import (
+    check_motions,
+    check_settings,
+    episode_index,
+    read_options,
+    read_seeds,
+    whole_number,
 )
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise
@@ -144,8 +152,15 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
+        check_settings(
+            backend=backend,
+            agent=agent,
+            noise=noise,
+            success_distance=success_distance,
+            history_tile=history_tile,
+        )
         self.render_mode = render_mode
-        self.num_envs = num_envs
+        self.num_envs = num_envs = whole_number(num_envs, "num_envs", -np.inf)
         self.sensors, self.words = split_sensors(sensors)
         self.single_action_space = build_action_space(action_space)
         self.success_distance = success_distance
@@ -153,7 +168,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
-        self._motions = dict(motions or {})
+        self._motions = check_motions(motions, self.tasks.scenes)
         self._bank = bank
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         self._camera = camera = find_preset(self.tasks.preset, history_tile=history_tile)
@@ -180,8 +195,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             agent=self.tasks.agent,
             max_steps=self.tasks.max_steps,
             open_suite=self._open_suite,
-            scenes_kept=scenes_kept,
-            field_memory=field_memory,
+            scenes_kept=whole_number(scenes_kept, "scenes_kept", 0),
+            field_memory=whole_number(field_memory, "field_memory", 0),
             open_people=self._open_people,
         )
         if self.batch.eyes is not None:
@@ -272,11 +287,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
 
         Raises:
             EpisodeError: no such episode, or it does not fit its scene.
-            ConfigError: seeds or mask of another length.
+            ConfigError: seeds or mask of another length or type, or no such option.
+            ClosedEnvironmentError: it was closed.
         """
-        options = options or {}
+        self._check_open()
+        options = read_options(options, ("episode", "reset_mask"))
         which = self._masked(options.get("reset_mask"))
-        self._seed(which, seed)
+        self._seed(which, read_seeds(seed, self.num_envs))
         if options.get("episode") is not None:
             chosen = self._choose(options["episode"])[which]
         else:
@@ -295,6 +312,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             SimError: wrong shape or type, or no such action; then nobody has moved.
             EpisodeError: the next episode of an environment does not fit its scene.
         """
+        self._check_open()
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         rewards, terminated, truncated, success = self._judge(*self.batch.step(actions))
@@ -358,6 +376,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self._pictures = None
         self._begun = False
 
+    def _check_open(self) -> None:
+        if self.closed:
+            raise gymnasium.error.ClosedEnvironmentError("this VectorEnv was closed: make another")
+
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
             return self._everyone
@@ -371,16 +393,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             raise gymnasium.error.ResetNeeded("reset all environments before some of them")
         return np.flatnonzero(mask)
 
-    def _seed(self, which: NDArray[np.int64], seed: int | Sequence[int | None] | None) -> None:
-        if isinstance(seed, int | np.integer):
-            seed = [int(seed) + i for i in range(self.num_envs)]
-        if seed is not None and len(seed) != self.num_envs:
-            raise ConfigError(
-                f"{len(seed)} seeds for {self.num_envs} environments",
-                remedy="give one each, or one integer for all",
-            )
+    def _seed(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
         for i in which.tolist():
-            given = None if seed is None else seed[i]
+            given = None if seeds is None else seeds[i]
             if given is not None or self._streams[i] is None:
                 self._streams[i], _ = seeding.np_random(given)
                 self._cursor[i] = _DRAWS
@@ -412,10 +427,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                     self._words.row(value)  # it may be refused
                 numbers.append(int(self.batch.table.add([value])[0]))
                 continue
-            index = known.get(value, -1) if isinstance(value, str) else int(value)
+            index = known.get(value, -1) if isinstance(value, str) else episode_index(value)
             if not 0 <= index < len(self._numbers):
                 raise EpisodeError(
-                    f"no episode {value!r}",
+                    f"no episode {brief(value)}",
                     remedy=f"give an id, an Episode or 0..{len(self._numbers) - 1}",
                 )
             numbers.append(int(self._numbers[index]))

@@ -22,10 +22,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.missions.episode import Episode
 from gn0.plugins import describe_error
-from gn0.sim.sensor.table import check_sensors, sensor_names
+from gn0.sim.sensor.table import check_sensors, sensor_names, several_names
 
 WORDS: frozenset[str] = frozenset({"instruction", "instruction_tokens", "instruction_index"})
 PAD, END, FIRST_BYTE = 0, 1, 3
@@ -168,13 +168,17 @@ def _refuse(episode: Episode, wrong: str) -> EpisodeError:
     )
 
 
+def _name_sensor(name: object) -> str:
+    return name if isinstance(name, str) else brief(name)
+
+
 def split_sensors(names: Iterable[str]) -> tuple[frozenset[str], frozenset[str]]:
     """Sensor names of an environment: what is measured, and how the agent is told.
 
     Raises:
         ConfigError: a name is unknown; lists those that exist.
     """
-    found = frozenset(names)
+    found = frozenset(map(_name_sensor, several_names(names)))
     known = WORDS.union(sensor_names())
     unknown = sorted(map(str, found - known))
     if unknown:

@@ -512,7 +512,7 @@ def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
         raise BenchError(
             f"holds the episodes of another scene than {folder}",
             where=target,
-            remedy="choose another --out, or delete that folder",
+            remedy="choose another --out, or give --fresh to sample it again",
         )
     return suite
 

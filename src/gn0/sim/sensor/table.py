@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
-from gn0.errors import ConfigError
+from gn0.errors import ConfigError, brief
 from gn0.plugins import builtin_names, get_plugin, plugin_names
 from gn0.sim.sensor.sensor import Sensor
 from gn0.sim.state import OBSERVED, Observation
@@ -43,13 +44,26 @@ def find_sensor(name: str) -> Sensor:
     return sensor
 
 
+def several_names(names: object) -> Iterable[Any]:
+    """The names of sensors, where they are several: of one text each letter would be one.
+
+    Raises:
+        ConfigError: they are not.
+    """
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise ConfigError(
+            f"sensors are {brief(names)}", remedy="give a list of names, as sensors=('rgb',)"
+        )
+    return names
+
+
 def check_sensors(names: Iterable[str]) -> frozenset[str]:
     """The names as a set of sensors.
 
     Raises:
-        ConfigError: a name is unknown; lists those that exist.
+        ConfigError: it is one text, not several, or a name is unknown; lists those that exist.
     """
-    found = frozenset(names)
+    found = frozenset(several_names(names))
     known = sensor_names()
     unknown = sorted(str(name) for name in found - frozenset(known))
     if unknown:
@@ -96,7 +110,7 @@ def carry_sensors(names: Iterable[str]) -> Carried:
     Raises:
         ConfigError: a name is unknown; lists those that exist.
     """
-    return _carry(frozenset(names))
+    return _carry(frozenset(several_names(names)))
 
 
 @lru_cache(maxsize=256)

@@ -104,7 +104,7 @@ def register(kind: Kind, name: str, plugin: Any) -> None:
     """Register a plug-in object or class under a name.
 
     Raises:
-        ConfigError: there is no such kind, the name cannot be typed, or it is taken by something else.
+        ConfigError: there is no such kind, the name cannot be typed or is taken.
     """
     if kind not in _BUILTIN:
         raise ConfigError(f"no kind of plug-in {kind!r}", remedy=f"known: {', '.join(_BUILTIN)}")

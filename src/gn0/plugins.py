@@ -104,13 +104,13 @@ def register(kind: Kind, name: str, plugin: Any) -> None:
     """Register a plug-in object or class under a name.
 
     Raises:
-        ConfigError: there is no such kind, the name is none, or it is taken by something else.
+        ConfigError: there is no such kind, the name cannot be typed or is taken.
     """
     if kind not in _BUILTIN:
         raise ConfigError(f"no kind of plug-in {kind!r}", remedy=f"known: {', '.join(_BUILTIN)}")
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
         raise ConfigError(
-            f"{brief(name)} is no name of a {kind}", remedy="give a text that can be typed"
+            f"{brief(name)} is not a name of a {kind}", remedy="give a text that can be typed"
         )
     if name in _BUILTIN[kind] or _registered.get((kind, name), plugin) is not plugin:
         raise ConfigError(f"{kind} {name!r} is already registered", remedy="choose another name")

@@ -46,5 +46,5 @@ def test_what_is_no_number_is_told_by_the_options_name(
 
 @pytest.mark.parametrize("name", ["", " ", "a\n", 3, None])
 def test_what_cannot_be_typed_is_no_name_of_a_plug_in(name) -> None:
-    with pytest.raises(ConfigError, match="is no name of a policy"):
+    with pytest.raises(ConfigError, match="is not a name of a policy"):
         register("policy", name, object)

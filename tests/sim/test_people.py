@@ -209,6 +209,26 @@ def test_who_is_beside_the_picture_is_not_posed(bank) -> None:
     assert asked[0] < 0.6 * asked[1]
 
 
+def test_who_is_around_is_looked_up_once_for_all_pictures_of_a_moment(bank, monkeypatch) -> None:
+    names = ("rgb", "depth", "who", "people_seen")
+    eyes = open_simulator(FLAT, EYES, sensors=names, bank=bank, backend="cpu")
+    eyes.reset(
+        episode(
+            stander(identity=bank.names[0]), walker((3.4, 1.8), (3.4, 2.3), identity=bank.names[1])
+        )
+    )
+    show, shown = eyes._people.show, []
+    monkeypatch.setattr(eyes._people, "show", lambda *how: shown.append(how) or show(*how))
+    for turn in (LEFT, 3, FORWARD):
+        eyes.step(turn)
+    assert len(shown) == 3
+    eyes.observe_at(Pose2D(1.2, 2.5, 0.0))
+    assert len(shown) == 4, "from elsewhere others are seen"
+    eyes.show_people(eyes.pose, 60.0)
+    eyes.look_at_people()
+    assert len(shown) == 6, "clouds of a camera of somebody else's may have taken their place"
+
+
 def test_the_agents_own_map_goes_by_time_where_people_move_and_only_there(bank) -> None:
     simulator = open_simulator(FLAT, EYES, bank=bank, sensors=["occupancy"], map_mode="explored")
     for people, timed in (((), False), ((stander(identity=bank.names[0]),), True)):

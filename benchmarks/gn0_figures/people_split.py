@@ -13,9 +13,9 @@ from gn0_figures.board import FigureRow
 
 # what is told before each stage of a drawing call, and what the time until the next is called
 _CALLED = {
-    "step": "simulator, and who is seen how", "upload": "views", "emit": "scenes listed",
-    "settle": "who lacks heard of and posed", "people": "people listed", "scan": "lists in order",
-    "blend": "painted", "end": "all else, people posed ahead",
+    "step": "simulator, and who is seen how", "upload": "views", "count": "entries counted",
+    "emit": "listed", "scan": "lists in order", "blend": "painted",
+    "settle": "who lacks heard of and posed", "end": "all else, people posed ahead",
 }  # fmt: skip
 
 
@@ -33,8 +33,6 @@ def split_steps(env: VectorEnvDevice, actions: DeviceArray, turns: int) -> dict[
     before, marks = drawer.on_stage, list[tuple[str, Event]]()
 
     def note(stage: str) -> None:
-        if stage == "emit" and marks[-1][0] == "settle":
-            stage = "people"
         marks.append((stage, device.event()))
 
     spent: dict[str, list[float]] = {stage: [] for stage in _CALLED}

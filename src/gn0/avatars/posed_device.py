@@ -164,6 +164,7 @@ class PosedBankDevice:
         ahead: how many were made before anybody asked for them, see `expect`.
         evicted: how many have made room for others.
         launches: that have filled it.
+        late: views that lacked somebody when they were asked for last, if they are ordered.
 
     Raises:
         ConfigError: the budget is not above 0.
@@ -179,7 +180,7 @@ class PosedBankDevice:
                 remedy="give more than 0",
             )
         self.renderer, self.budget = renderer, budget
-        self.hits = self.misses = self.ahead = self.evicted = self.launches = 0
+        self.hits = self.misses = self.ahead = self.evicted = self.launches = self.late = 0
         self._held = CodeMap()  # slots
         self._named: dict[Hashable, int] = {}  # codes of keys that are none
         self._next_name = _NAMES
@@ -288,13 +289,18 @@ class PosedBankDevice:
         self.ask(codes, chosen)
         return self.answer(poses)
 
-    def ask(self, codes: DeviceArray, chosen: DeviceArray) -> None:
-        """Begin what `find` does; `answer` does the rest, and needs to wait the less the later."""
+    def ask(self, codes: DeviceArray, chosen: DeviceArray, each: int = 0) -> DeviceArray | None:
+        """Begin what `find` does; `answer` does the rest, and needs to wait the less the later.
+
+        With `each` codes a view: the order of views, as of `PartsDevice`, until the next asking.
+        """
         self._call += 1
         self._expected = None  # that was of this call
         if self._finder.sends:  # what was used by the call before: not who is by this one
             self._take_uses()
-        self._asking = codes, chosen, self._look(codes, chosen, self._call)
+        looked = self._look(codes, chosen, self._call, each=each)
+        self._asking = codes, chosen, looked
+        return looked.order
 
     def answer(self, poses: CodedPoses) -> int:
         """End what `ask` began; see `find`. After `expect` nobody makes room for those that lack.
@@ -307,7 +313,7 @@ class PosedBankDevice:
         if self._asking is None:
             return 0
         codes, chosen, looked = self._asking
-        lacking = looked.numpy()
+        lacking, self.late = looked.numpy(), looked.late
         if len(lacking):
             self._fill(lacking, poses, hurried=self._expected is not None)
             self._look(codes, chosen, self._call)
@@ -354,14 +360,14 @@ class PosedBankDevice:
         return len(lacking)
 
     def _look(
-        self, codes: DeviceArray, chosen: DeviceArray, stamp: int, lane: int = 0
+        self, codes: DeviceArray, chosen: DeviceArray, stamp: int, lane: int = 0, each: int = 0
     ) -> LackingCodes:
         if self._stale:
             self._take_uses()
             slots = np.flatnonzero(self._codes)
             self._finder.set(self._codes[slots], slots.astype(np.int32), max(len(self._used), 1))
             self._stale = False
-        return self._finder.find(codes, chosen, stamp, lane=lane)
+        return self._finder.find(codes, chosen, stamp, lane=lane, each=each)
 
     def _take_uses(self) -> None:
         """Learn from the device what was used when, and how often since this was learnt last."""

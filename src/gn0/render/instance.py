@@ -116,8 +116,12 @@ class PartsDevice:
             many each view has, those of one view after those of another.
         gains: float32 [I, 4, 3] as in `Instance`, or None.
         nearer: float32 [I] as in `Instance`, or None.
-        settle: called when all that needs no instance was handed to the device, perhaps again: only
-            then are `chosen`, and the clouds in those slots, what they are to be.
+        settle: called when half of many views was handed to the device, or before any, perhaps
+            again: only then are `chosen`, and the clouds in those slots, what they are to be. It
+            says how many views, the last of `order`, lacked somebody till then.
+        order: int32 [2, V] of calls with `settle` and a number of instances a view: views in the
+            order in which they are drawn, and the place of each in it. None: as they come, and all
+            wait for `settle`.
     """
 
     names: Sequence[str] | None
@@ -126,7 +130,8 @@ class PartsDevice:
     firsts: DeviceArray | int
     gains: DeviceArray | None = None
     nearer: DeviceArray | None = None
-    settle: Callable[[], object] | None = None
+    settle: Callable[[], int] | None = None
+    order: DeviceArray | None = None
 
 
 Parts = Sequence[Instance] | Sequence[Sequence[Instance]]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -173,13 +172,17 @@ class PeopleEyesDevice:
             self._tables = device.upload(np.array(self._from)), device.upload(np.array(table))
         codes, poses, gains, chosen, nearer = self._shown
         self._find(simulator, company.crowd, (codes, poses, gains))
-        self.posed.ask(codes, chosen)
+        order = self.posed.ask(codes, chosen, each)
         if self.ahead:  # before anybody waits
             self._next = self._next or _new_looks(device, count)
             self._find(simulator, company.look_ahead(), self._next)
             self.posed.expect(self._next[0])
-        settle = partial(self.posed.answer, self.codes)
-        return PartsDevice(None, poses, chosen, each, gains, nearer, settle)
+        return PartsDevice(None, poses, chosen, each, gains, nearer, self._settle, order)
+
+    def _settle(self) -> int:
+        """Have all be posed whom agents see now; how many of these lacked somebody."""
+        self.posed.answer(self.codes)
+        return self.posed.late
 
     def pose_ahead(self) -> None:
         """Pose who will be seen next; the device draws what is seen now meanwhile.

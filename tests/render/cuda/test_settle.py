@@ -1,9 +1,9 @@
-"""Instances of which the host hears late: scenes are listed before, and pictures stay the same."""
+"""Instances of which the host hears late: half of the views go first, and pictures are the same."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from gn0.device.device import DeviceArray
 from gn0.device.host import DeviceHost
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.geometry import F64
+from gn0.render.cuda import draw
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.instance import PartsDevice
 from gn0.render.renderer import RenderOptions
@@ -67,13 +68,14 @@ class Party:
             np.stack([pose_ahead(v, 1.5, 0.4 * k - 0.2, 0.7 * k) for v in VIEWS for k in range(2)])
         )
 
-    def ask(self, first: int, **more) -> PartsDevice:
-        codes = np.array([0, *range(first, first + 7)], np.uint64)
-        self.bank.ask(self.batch.device.upload(codes), self.chosen)
-        return PartsDevice(None, self.poses, self.chosen, 2, **more)
+    def ask(self, first: int, codes: Sequence[int] | None = None, **more) -> PartsDevice:
+        asked = np.array(codes or [0, *range(first, first + 7)], np.uint64)
+        order = self.bank.ask(self.batch.device.upload(asked), self.chosen, 2)
+        return PartsDevice(None, self.poses, self.chosen, 2, order=order, **more)
 
     def answer(self) -> int:
-        return self.bank.answer(POSES)
+        self.bank.answer(POSES)
+        return self.bank.late
 
     def draw(self, parts: PartsDevice, **more) -> list[bytes]:
         drawn = self.batch.draw(
@@ -89,31 +91,65 @@ def settled_before(party: Party, first: int) -> list[bytes]:
     return party.draw(parts)
 
 
-def test_pictures_are_those_of_people_who_were_settled_before() -> None:
+@pytest.fixture(params=[2, 1000], ids=["half of them first", "all wait"])
+def many(request, monkeypatch) -> int:
+    """Views from which on half of them are drawn before who lacks is waited for."""
+    monkeypatch.setattr(draw, "_MANY", request.param)
+    return request.param
+
+
+def test_pictures_are_those_of_people_who_were_settled_before(many: int) -> None:
     """Also where the table of clouds grows meanwhile (16 slots at first), and nobody lacks."""
     late, early = Party(), Party()
     for first in (1, 8, 15, 22, 22):
         drawn = late.draw(late.ask(first, settle=late.answer))
         assert drawn == settled_before(early, first)
     assert len(late.batch._named.table) > 16
-    assert late.batch.drawer.repeats == early.batch.drawer.repeats
 
 
-def test_scenes_are_listed_before_anybody_is_waited_for() -> None:
-    """The device has work while the host hears who lacks: from the second call on, when lists
-    have room by the first."""
+@pytest.mark.parametrize("rows", [(0,), (1, 2), (0, 1, 3)])
+def test_whoever_lacks_is_seen_wherever_he_is(rows: tuple[int, ...], monkeypatch) -> None:
+    """In views that go first, and in others: where many lack, the first are drawn once more."""
+    monkeypatch.setattr(draw, "_MANY", 2)
+    late, early = Party(), Party()
+    for party in (late, early):
+        settled_before(party, 1)
+    codes = [0, 1, 2, 3, 4, 0, 6, 7]
+    for row in rows:
+        codes[2 * row + 1] = 20 + row
+    parts = late.ask(0, codes, settle=late.answer)
+    ready = [row for row in range(4) if row not in rows]
+    assert parts.order is not None
+    order, place = parts.order.numpy()
+    assert order.tolist() == ready + sorted(rows, reverse=True) and late.answer() == len(rows)
+    assert order[place].tolist() == [0, 1, 2, 3]
+    for party in (late, early):  # as if nobody had asked
+        party.bank = PosedBankDevice(party.batch, 2**24)
+        settled_before(party, 1)
+    drawn = late.draw(late.ask(0, codes, settle=late.answer))
+    parts = early.ask(0, codes)
+    early.answer()
+    assert drawn == early.draw(parts)
+
+
+def test_half_of_the_views_are_drawn_before_anybody_is_waited_for(monkeypatch) -> None:
+    """The device paints them while the host hears who lacks and poses him."""
+    monkeypatch.setattr(draw, "_MANY", 4)
     party, told = Party(), []
 
-    def settle() -> None:
+    def settle() -> int:
         told.append("here")
-        party.answer()
+        return party.answer()
 
-    for first in (1, 8):
-        told.clear()
-        party.batch.drawer.on_stage = told.append
-        party.draw(party.ask(first, settle=settle))
-        party.batch.drawer.on_stage = None
-    assert told == ["upload", "emit", "settle", "here", "emit", "scan", "blend", "end"]
+    party.draw(party.ask(1, settle=settle))
+    told.clear()
+    party.batch.drawer.on_stage = told.append
+    codes = [0, 1, 2, 3, 4, 5, 6, 30]  # the last view has to wait
+    before = party.batch.drawer.batches
+    party.draw(party.ask(0, codes, settle=settle))
+    batch = ["upload", "emit", "scan", "blend", "end"]
+    assert told == [*batch, "settle", "here", *batch]
+    assert party.batch.drawer.batches == before + 2
 
 
 def test_what_failed_is_tried_again() -> None:
@@ -131,14 +167,14 @@ def test_what_failed_is_tried_again() -> None:
     party.batch.pose_parts = fail_once  # type: ignore[method-assign]
     assert party.draw(party.ask(8, settle=party.answer)) == settled_before(other, 8)
     assert failed and (party.bank.misses, party.bank.hits) == (other.bank.misses, other.bank.hits)
-    assert party.answer() == 0, "it was answered"
+    assert party.bank.answer(POSES) == 0, "it was answered"
 
 
 def test_who_cannot_be_posed_is_told_and_the_next_call_draws() -> None:
     party, other = Party(), Party()
     settled_before(party, 1)
 
-    def refuse() -> None:
+    def refuse() -> int:
         raise RenderError("nobody", where="pose 3")
 
     with pytest.raises(RenderError, match="nobody"):
@@ -164,12 +200,11 @@ def test_other_ways_wait_first(way: str, monkeypatch) -> None:
         return told.numbers.tobytes(), str(told.seen)
 
     for first in (1, 8):
-        waited: list[int] = []
-        settle: Callable[[], object] = lambda late=late, w=waited: w.append(late.answer())  # noqa: E731
-        found = look(late, late.ask(first, settle=settle))
+        before = late.bank.misses
+        found = look(late, late.ask(first, settle=late.answer))
         parts = early.ask(first)
         early.answer()
-        assert found == look(early, parts) and waited[0] == 7
+        assert found == look(early, parts) and late.bank.misses == before + 7
 
 
 def test_slots_are_written_where_they_lie() -> None:
@@ -179,4 +214,4 @@ def test_slots_are_written_where_they_lie() -> None:
     party.answer()
     assert isinstance(parts.chosen, DeviceArray) and parts.settle is None
     one = party.draw(parts)
-    assert party.draw(replace(parts, settle=lambda: None)) == one
+    assert party.draw(replace(parts, settle=lambda: 0)) == one

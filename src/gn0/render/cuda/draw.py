@@ -64,6 +64,7 @@ STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _GROUPERS = 1024  # threads that group views
+_MANY = 256  # views from which on half of them are drawn apart from the others for little
 _SAMPLED = 4096  # lists from which on they get room by a sample of the splats
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
@@ -184,7 +185,8 @@ class Drawer:
         if instances is not None and (
             pictures.semantic is not None or pictures.instance is not None
         ):
-            instances = instances.settled()  # labels are brought of all who stand there
+            # labels are brought of all who stand there, in the views' own order
+            instances = replace(instances.settled()[0], order=None)
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
             placed = None if instances is None else instances.place(self.device)
@@ -237,9 +239,15 @@ class Drawer:
     def _run(self, work: Work, blend: Blend, antialiased: bool) -> None:
         """List and blend all views, in batches that have room."""
         memory, flags = self._begin(work), _flags(work.camera, antialiased)
-        begin, most = 0, work.count
+        begin, most, end = 0, work.count, work.count
+        if isinstance(work, WorkDevice) and work.waits:
+            end = self._early(work)
         while begin < work.count:
-            wanted = min(most, work.count - begin)
+            if begin >= end:  # the device paints the first of them while we wait for the others
+                assert isinstance(work, WorkDevice)
+                self._tell("settle")
+                begin, end = min(begin, work.count - work.settle()), work.count
+            wanted = min(most, end - begin)
             count = min(self._fit(work, begin), wanted)
             if count < wanted:
                 self._say_smaller(count)
@@ -264,6 +272,12 @@ class Drawer:
                 continue
             self.batches += 1
             begin += count
+
+    def _early(self, work: WorkDevice) -> int:
+        """How many views are drawn before it is known who stands where in the others."""
+        assert work.instances is not None
+        many = work.instances.order is not None and work.count >= _MANY
+        return work.count // 2 if many else 0
 
     def _begin(self, work: Work) -> int:
         """Choose the kernels' sizes; returns how much memory lists may take."""
@@ -405,18 +419,13 @@ class Drawer:
         """Launch all kernels of a batch."""
         kernels, whole = self._kernels_for(work), np.uint32(lists.all_tiles)
         zeros = lists.all_tiles + _CLASSES
-        checked, label, begun = 0, None, False
+        checked, label = 0, None
         if blend.labels is not None:
             label = self._labels.arrange(work, lists, self.tuning, blend.labels)
         if isinstance(work, WorkDevice):
             checked = lists.count + (0 if work.instances is None else len(work.instances))
             self._write_views(work, lists, zeros, header)
             if work.instances is not None:
-                begun = work.instances.settle is not None and lists.room > 0
-                if begun:  # the device has something to do while we wait for who stands where
-                    self._tell("emit")
-                    lists.emit(kernels, ("entries",))
-                lists = self._settle(work, lists)
                 self._write_parts(work, lists, work.instances)
         else:
             self.device.fill(lists.counts[:zeros], 0)
@@ -433,7 +442,7 @@ class Drawer:
             placing = PlaceLists(counts, whole, stride, sums, lists.starts)
             kernels["place_lists"].launch(scan_blocks, 256, placing)
         self._tell("emit")
-        lists.emit(kernels, ("parts",) if begun else ("entries", "parts"))
+        lists.emit(kernels)
         self._tell("scan")
         if scan_blocks > 1:
             adding = SumCounts(counts, whole, np.uint32(0), starts, sums, lists.classes)
@@ -447,17 +456,6 @@ class Drawer:
             kernels[kernel].launch(lists.blocks, self.tuning.threads, record)
         if label is not None:
             label()
-
-    def _settle(self, work: WorkDevice, lists: Lists) -> Lists:
-        """Have it be known who stands where, and the lists' tables have room for it."""
-        if work.instances is None or work.instances.settle is None:
-            return lists
-        self._tell("settle")
-        work.settle()
-        sizes, (clouds, groups, members), count, _ = self._tables(work, lists.views_of, own=False)
-        return replace(
-            lists, sizes=sizes, clouds=clouds, groups=groups, members=members, group_count=count
-        )
 
     def _tables(
         self, work: Work, views: slice, own: bool

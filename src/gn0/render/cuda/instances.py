@@ -55,7 +55,7 @@ class Instances:
         gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
         nearer: float32 [I] by which each is sorted as if nearer [m]; None: 0.
         table: whose slots `chosen` numbers, if it does.
-        settle: as of `PartsDevice`.
+        settle, order: as of `PartsDevice`.
     """
 
     clouds: Sequence[CloudDevice | None]
@@ -65,22 +65,25 @@ class Instances:
     gains: F32 | DeviceArray | None = None
     nearer: F32 | DeviceArray | None = None
     table: PartTable | None = None
-    settle: Callable[[], object] | None = None
+    settle: Callable[[], int] | None = None
+    order: DeviceArray | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
 
-    def settled(self) -> Instances:
+    def settled(self) -> tuple[Instances, int]:
         """The same with `chosen`, and the table on the device, as they are to be drawn.
+
+        Returns:
+            Themselves, and how many views, the last of `order`, are to be drawn behind this.
 
         Raises:
             RenderError, DeviceMemoryError: whoever settles them could not.
         """
-        if self.settle is not None:
-            self.settle()
+        late = 0 if self.settle is None else self.settle()
         if self.table is not None:
             self.table.flush()
-        return replace(self, settle=None)
+        return replace(self, settle=None), late
 
     def place(self, device: Device) -> Instances:
         """The same with all arrays on the device."""
@@ -105,7 +108,7 @@ class Instances:
             RenderError: an instance is not finite, not rigid, or of no cloud, or offsets are none.
         """
         if self.settle is not None:
-            return self.settled().fetch(views)
+            return self.settled()[0].fetch(views)
 
         def here(array: NDArray[Any] | DeviceArray) -> NDArray[Any]:
             return array.numpy() if isinstance(array, DeviceArray) else array
@@ -118,6 +121,7 @@ class Instances:
             firsts=firsts if isinstance(firsts, int) else here(firsts),
             gains=None if gains is None else here(gains),
             nearer=None if nearer is None else here(nearer),
+            order=None,
         )
         found.check(views)
         shown = here(self.chosen) != NO_PART
@@ -212,11 +216,13 @@ class Instances:
         gains = (count, 4, 3) if self.gains is None else self.gains.shape
         whole = self.poses.shape[1:] == (4, 4) and self.chosen.shape == (count,)
         whole = whole and (self.nearer is None or self.nearer.shape == (count,))
+        whole = whole and (self.order is None or self.order.shape == (2, views))
         if not (fits and whole and gains == (count, 4, 3)):
             raise RenderError(
                 f"{count} instances do not belong to {views} views",
                 where="instances",
-                remedy="give poses [I, 4, 4], numbers [I], gains [I, 4, 3] and firsts [V + 1]",
+                remedy="give poses [I, 4, 4], numbers [I], gains [I, 4, 3], firsts [V + 1] and "
+                "orders [2, V]",
             )
         if most > PARTS_MAX:
             raise RenderError(

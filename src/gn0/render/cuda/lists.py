@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -156,14 +156,13 @@ class Lists:
             counting = CountEntries(tables, np.uint32(self.stride))
             kernels[f"count_{kind}"].launch(blocks, CHUNK, counting)
 
-    def emit(self, kernels: Mapping[str, Kernel], kinds: Collection[str]) -> None:
-        """Write the entries of some kinds of `listings`."""
+    def emit(self, kernels: Mapping[str, Kernel]) -> None:
+        """Write the entries of all lists."""
         needed = None if self.room else self.starts[self.all_tiles :]
         capacity, room = np.uint64(self.capacity), np.uint32(self.room)
         for kind, blocks, tables in self.listings:
-            if kind in kinds:
-                emitting = EmitEntries(tables, needed, self.entries, capacity, room)
-                kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
+            emitting = EmitEntries(tables, needed, self.entries, capacity, room)
+            kernels[f"emit_{kind}"].launch(blocks, CHUNK, emitting)
 
     def holds(self, needed: int, longest: int) -> bool:
         """Whether lists that need room for so many entries, the longest for so many, had it."""
@@ -193,6 +192,7 @@ class Lists:
             named=np.uint32(work.named),
             floors=work.floors,
             tolerance=np.float64(VIEW_TOLERANCE),
+            order=None if work.instances is None else work.instances.order,
             first=np.uint32(self.first),
             count_=np.uint32(self.count),
             like=work.like,
@@ -252,6 +252,7 @@ class Lists:
             normals=normals,
             bounds=None if instances.table is None else instances.table.bounds,
             tolerance=np.float64(VIEW_TOLERANCE),
+            order=instances.order,
             first=np.uint32(self.first),
             count_=np.uint32(self.count),
             all=np.uint32(work.count),

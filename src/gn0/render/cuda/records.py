@@ -97,6 +97,7 @@ class WriteViews(NamedTuple):
     named: np.uint32
     floors: DeviceArray | None
     tolerance: np.float64
+    order: DeviceArray | None
     first: np.uint32
     count_: np.uint32
     like: np.void
@@ -138,6 +139,7 @@ class WriteParts(NamedTuple):
     normals: DeviceArray
     bounds: DeviceArray | None
     tolerance: np.float64
+    order: DeviceArray | None
     first: np.uint32
     count_: np.uint32
     all: np.uint32
@@ -340,6 +342,17 @@ class FindSlots(NamedTuple):
     asked: DeviceArray
     chosen: DeviceArray
     missing: DeviceArray
+
+
+class OrderViews(NamedTuple):
+    """`order_views`: first the views in which nobody lacks, then the others."""
+
+    codes: DeviceArray
+    chosen: DeviceArray
+    each: np.uint32
+    count_: np.uint32
+    order: DeviceArray
+    late: DeviceArray
 
 
 class HoldSlots(NamedTuple):

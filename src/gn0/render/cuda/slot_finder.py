@@ -12,23 +12,33 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray, Download
 from gn0.jit import njit
 from gn0.render.cuda.posed import SOURCE
-from gn0.render.cuda.records import FindSlots, HoldSlots
+from gn0.render.cuda.records import FindSlots, HoldSlots, OrderViews
 
 _MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
 _THREADS = 128
+_ORDERERS = 1024
 _LEAST = 2**15  # places: a thousand codes may come and go a step, and each time laid anew it waits
 
 
 class LackingCodes:
-    """Codes that were looked for and are in no slot, on their way to the host."""
+    """Codes that were looked for and are in no slot, on their way to the host.
 
-    def __init__(self, download: Download) -> None:
-        self._download = download
+    Attributes:
+        order: as of `PartsDevice`, if it was asked for.
+    """
+
+    def __init__(self, download: Download, order: DeviceArray | None = None) -> None:
+        self._download, self.order = download, order
 
     def numpy(self) -> NDArray[np.uint64]:
         """Those codes, once each, in ascending order; waits for the device."""
         words = self._download.numpy()
-        return np.unique(words[1 : 1 + int(words[0])])
+        return np.unique(words[2 : 2 + int(words[0])])
+
+    @property
+    def late(self) -> int:
+        """Views, the last of `order`, that lack somebody; waits for the device."""
+        return int(self._download.numpy()[1])
 
 
 class SlotFinder:
@@ -44,6 +54,7 @@ class SlotFinder:
         self._places = self._keys = 0
         self._held: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
         self._spare: dict[int, tuple[DeviceArray, NDArray[np.uint64]]] = {}
+        self._order: DeviceArray | None = None
         self._uses: Download | None = None  # on their way
         self._room: NDArray[np.uint32] = np.zeros((2, 0), np.uint32)
 
@@ -77,7 +88,7 @@ class SlotFinder:
         return True
 
     def find(
-        self, codes: DeviceArray, chosen: DeviceArray, stamp: int, *, lane: int = 0
+        self, codes: DeviceArray, chosen: DeviceArray, stamp: int, *, lane: int = 0, each: int = 0
     ) -> LackingCodes:
         """Write the slots of codes uint64 [I] to int32 [I]; 0 and those that are in none: -1.
 
@@ -86,24 +97,37 @@ class SlotFinder:
             chosen: what is written to.
             stamp: by which what is found is stamped.
             lane: looks whose answers are awaited at the same time have different ones.
+            each: so many codes are of one view, and views are to be ordered; 0: they are not.
 
         Returns:
-            The codes that are in none; until the next look of that lane.
+            The codes that are in none; until the next look of that lane. The order of views, until
+            they are ordered again.
         """
         assert self._held is not None
         keys, slots, uses = self._held
         count = len(codes)
-        if lane not in self._spare or len(self._spare[lane][1]) != count + 1:
-            room = self._device.pinned(count + 1, np.uint64)
-            self._spare[lane] = self._device.empty(count + 1, np.uint64), room
+        if lane not in self._spare or len(self._spare[lane][1]) != count + 2:
+            room = self._device.pinned(count + 2, np.uint64)
+            self._spare[lane] = self._device.empty(count + 2, np.uint64), room
         missing, here = self._spare[lane]
-        self._device.fill(missing[:1], 0)
+        self._device.fill(missing[:2], 0)
         record = FindSlots(
             *(codes, np.uint32(count), keys, slots, np.uint32(self._places)),
             *(np.uint32(stamp), uses[0], uses[1], chosen, missing),
         )
-        self._device.load(SOURCE)["find_slots"].launch(-(-count // _THREADS), _THREADS, record)
-        return LackingCodes(self._device.download_async(missing, here))
+        kernels = self._device.load(SOURCE)
+        kernels["find_slots"].launch(-(-count // _THREADS), _THREADS, record)
+        order: DeviceArray | None = None
+        if each:
+            views = count // each
+            if self._order is None or self._order.shape[1] != views:
+                self._order = self._device.empty((2, views), np.int32)
+            order = self._order
+            ordering = OrderViews(
+                *(codes, chosen, np.uint32(each), np.uint32(views), order, missing[1:2])
+            )
+            kernels["order_views"].launch(1, _ORDERERS, ordering)
+        return LackingCodes(self._device.download_async(missing, here), order)
 
     @property
     def sends(self) -> bool:

@@ -78,14 +78,20 @@ class Work:
 class WorkDevice(Work):
     """Views whose poses, and which of `clouds` they show, are on the device alone."""
 
-    def settle(self) -> None:
-        """Have it be known which clouds of instances are where; the table may have grown."""
+    @property
+    def waits(self) -> bool:
+        """Whether it is not known yet which clouds of instances are where."""
+        return self.instances is not None and self.instances.settle is not None
+
+    def settle(self) -> int:
+        """Have that be known; the table may have grown. How many of the last views are new."""
         assert self.instances is not None
-        self.instances = self.instances.settled()
+        self.instances, late = self.instances.settled()
         if self.part_table is not None:
             room = np.zeros(len(self.part_table), CLOUD)
             self.table = np.concatenate([self.table[: self.base], room])
             self.chunks = np.concatenate([self.chunks[: self.base], self.part_table.chunks])
+        return late
 
     def __init__(
         self,

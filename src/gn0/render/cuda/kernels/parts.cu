@@ -62,7 +62,8 @@ __device__ __forceinline__ u32 find_whose(const int *__restrict__ firsts, u32 ea
   return low;
 }
 
-// Behind `write_views`, which has written views `first` to `first + count` of `all`: the views
+// Behind `write_views`, which has written views `first` to `first + count` of `all`, or of `order`
+// [2, all], whose second row is the place of each view in the first one: the views
 // [instances] of instances behind them, from world-to-camera `matrices` [all, 4, 4] and part-to-world
 // `poses` [instances, 4, 4]; and what painting needs of each. `chosen` numbers their clouds, `known`
 // ones from `clouds + base` on, with normals at `normals`, in `bounds` (null: anywhere). With `brought`
@@ -73,32 +74,35 @@ KERNEL(write_parts)(const double *__restrict__ matrices, const double *__restric
                     const int *__restrict__ chosen,
                     const int *__restrict__ firsts, u32 each, Cloud *clouds,
                     const Cloud *brought, u32 base, u32 known, const u64 *__restrict__ normals,
-                    const float *__restrict__ bounds, double tolerance, u32 first, u32 count, u32 all,
-                    u32 instances, u32 flags, View like, View *views, Part *parts) {
+                    const float *__restrict__ bounds, double tolerance, const int *__restrict__ order,
+                    u32 first, u32 count, u32 all, u32 instances, u32 flags, View like, View *views,
+                    Part *parts) {
   u32 i = blockIdx.x * blockDim.x + threadIdx.x;
   const Cloud *named = brought ? brought : clouds + base;
   for (u32 k = i; brought && k < known * (sizeof(Cloud) / 4); k += gridDim.x * blockDim.x)
     ((u32 *)(clouds + base))[k] = ((const u32 *)brought)[k];
   if (i < count) {
-    int begin = firsts ? firsts[first + i] : (int)((first + i) * each);
-    int end = firsts ? firsts[first + i + 1] : begin + (int)each;
+    u32 of = order ? (u32)order[first + i] : first + i;
+    int begin = firsts ? firsts[of] : (int)(of * each);
+    int end = firsts ? firsts[of + 1] : begin + (int)each;
     bool sound = begin >= 0 && begin <= end && end - begin <= PARTS_MAX && end <= (int)instances &&
-                 (first + i > 0 || begin == 0) && (first + i + 1 < all || end == (int)instances);
+                 (of > 0 || begin == 0) && (of + 1 < all || end == (int)instances);
     views[i].spare[IS_PART] = 0, views[i].spare[WHOSE] = (u32)begin;
-    if (!sound && views[i].spare[0] == NOWHERE) views[i].spare[0] = WRONG_PART | (first + i) << 3 | PART_OFFSETS;
+    if (!sound && views[i].spare[0] == NOWHERE) views[i].spare[0] = WRONG_PART | of << 3 | PART_OFFSETS;
   }
   if (i >= instances) return;
   u32 before, whose = find_whose(firsts, each, all, i, before);
+  u32 at = order ? (u32)order[all + whose] : whose;  // among those that are written
   const double *p = poses + (u64)i * 16;
   int number = chosen[i];
   float near = like.near, far = like.far;
   Part part = {};
   like.spare[0] = NOWHERE, like.spare[IS_PART] = TAIL | before << PART_SHIFT;
-  like.spare[WHOSE] = whose - first;
+  like.spare[WHOSE] = at - first;
   like.near = 1.f, like.far = 0.f;
   like.cloud = like.tail = NOWHERE, like.row = 0;
-  bool here = whose >= first && whose - first < count && before < PARTS_MAX && number != NO_PART;
-  here = here && views[whose - first].cloud != NOWHERE;  // a view that is none is told of alone
+  bool here = at >= first && at - first < count && before < PARTS_MAX && number != NO_PART;
+  here = here && views[at - first].cloud != NOWHERE;  // a view that is none is told of alone
   u32 why = !is_finite(p, 16) ? PART_NOT_FINITE : !is_rigid(p, tolerance) ? PART_NOT_RIGID
             : number < 0 || (u32)number >= known || named[number].rows == NOWHERE
                 ? PART_NOT_HERE : NOWHERE;

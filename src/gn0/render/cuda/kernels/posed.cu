@@ -136,7 +136,8 @@ KERNEL(pose_splats)(const Posing *__restrict__ jobs, u32 count) {
 #define HASH_NONE -1
 
 // Slots [count] of codes, by a hash table of a power of two of `places`; the slots that are found are
-// stamped as used, and `asked` counts the stamps of each. Codes that are in none go to `missing`, whose first word counts them.
+// stamped as used, and `asked` counts the stamps of each. Codes that are in none go to `missing` behind
+// its first two words, of which the first counts them.
 KERNEL(find_slots)(const u64 *__restrict__ codes, u32 count, const u64 *__restrict__ keys,
                    const int *__restrict__ slots, u32 places, u32 stamp, u32 *stamps, u32 *asked,
                    int *chosen, u64 *missing) {
@@ -150,10 +151,40 @@ KERNEL(find_slots)(const u64 *__restrict__ codes, u32 count, const u64 *__restri
       if (keys[at] == code) found = slots[at];
       if (keys[at] == code || keys[at] == NOBODY) break;
     }
-    if (found == HASH_NONE) missing[1 + atomicAdd(missing, (u64)1)] = code;
+    if (found == HASH_NONE) missing[2 + atomicAdd(missing, (u64)1)] = code;
     else if (atomicMax(stamps + found, stamp) < stamp) atomicAdd(asked + found, 1u);
   }
   chosen[i] = found;
+}
+
+#define ORDERERS 1024  // threads that order views
+
+// Behind `find_slots`: the views [count] of `each` codes, those first none of whose codes lacks a slot,
+// and the others behind them; one block. `order` [2, count] gets them, then the place of each in them;
+// `late` how many are not among the first.
+KERNEL_BOUNDED(order_views, ORDERERS, 1)
+(const u64 *__restrict__ codes, const int *__restrict__ chosen, u32 each, u32 count, int *order, u64 *late) {
+  __shared__ u32 held[ORDERERS / WARP];
+  u32 ready = 0;  // of the views before
+  for (u32 base = 0; base < count; base += ORDERERS) {
+    u32 v = base + threadIdx.x;
+    bool here = v < count;
+    for (u32 i = v * each; here && i < (v + 1) * each; i++) here = codes[i] == NOBODY || chosen[i] != HASH_NONE;
+    u32 votes = __ballot_sync(FULL, here), warp = threadIdx.x / WARP;
+    if (lane_id() == 0) held[warp] = __popc(votes);
+    __syncthreads();
+    u32 before = ready + __popc(votes & ((1u << lane_id()) - 1));
+    for (u32 w = 0; w < ORDERERS / WARP; w++) {
+      if (w < warp) before += held[w];
+      ready += held[w];
+    }
+    if (v < count) {
+      u32 at = here ? before : count - 1 - (v - before);
+      order[at] = (int)v, order[count + v] = (int)at;
+    }
+    __syncthreads();
+  }
+  if (threadIdx.x == 0) *late = count - ready;
 }
 
 // Put codes [count], once each, into the table of `find_slots`, each with the slot it was given, or

@@ -26,19 +26,21 @@ __device__ __forceinline__ int find_set(const Floor &f, int cloud, double x, dou
 // Views [count] from world-to-camera matrices [count, 4, 4]; `like` is any view of their camera.
 // `chosen` numbers their clouds, the first `named`; null means all show the first. With `floors`,
 // of each of those, they are drawn from visible sets, which are clouds behind them. A view that is none
-// sees nothing, and holds its number times four and what is wrong. Beside that, `zeros` become
-// zeros, and the words of `sent` (on the host) are `here`.
+// sees nothing, and holds its number times four and what is wrong. With `order` [all] they are those
+// that it names, from `first` on. Beside that, `zeros` become zeros, and the words of `sent` (on the
+// host) are `here`.
 KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__ chosen,
                     const Cloud *__restrict__ clouds, u32 named, const Floor *__restrict__ floors,
-                    double tolerance, u32 first, u32 count, View like, View *views, u32 *zeros,
-                    u32 zero_count, const u32 *__restrict__ sent, u32 *here, u32 words) {
+                    double tolerance, const int *__restrict__ order, u32 first, u32 count, View like,
+                    View *views, u32 *zeros, u32 zero_count, const u32 *__restrict__ sent, u32 *here, u32 words) {
   u32 v = blockIdx.x * blockDim.x + threadIdx.x;
   for (u32 k = v; k < zero_count; k += gridDim.x * blockDim.x) zeros[k] = 0;
   if (v < words) here[v] = sent[v];
   if (v >= count) return;
-  const double *m = matrices + (u64)(first + v) * 16;
+  u32 of = order ? (u32)order[first + v] : first + v;
+  const double *m = matrices + (u64)of * 16;
   bool finite = is_finite(m, 16), rigid = is_rigid(m, tolerance);
-  u32 cloud = chosen ? (u32)chosen[first + v] : 0;
+  u32 cloud = chosen ? (u32)chosen[of] : 0;
   bool known = cloud < named && clouds[cloud].rows != NO_CLOUD, held = true;
   if (finite && rigid && known) {
     double eye[3];
@@ -55,14 +57,14 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
   like.spare[0] = NOWHERE;
   if (!(finite && rigid && known && held)) {
     u32 why = !finite ? NOT_FINITE : !rigid ? NOT_RIGID : !known ? NOT_HERE : NOT_HELD;
-    like.spare[0] = (first + v) << 2 | why;
+    like.spare[0] = of << 2 | why;
     for (int k = 0; k < 9; k++) like.r[k] = 0.f;
     for (int k = 0; k < 3; k++) like.eye[k] = 0.f;
     like.near = 1.f, like.far = 0.f;
     like.cloud = NOWHERE;
   }
   like.tail = NOWHERE;
-  like.row = first + v;
+  like.row = of;
   views[v] = like;
 }
 

@@ -164,7 +164,7 @@ class PosedBankDevice:
         ahead: how many were made before anybody asked for them, see `expect`.
         evicted: how many have made room for others.
         launches: that have filled it.
-        late: views that lacked somebody when they were asked for last, if they are ordered.
+        late: how many views lacked somebody when they were asked for last, if that was asked.
 
     Raises:
         ConfigError: the budget is not above 0.
@@ -292,7 +292,7 @@ class PosedBankDevice:
     def ask(self, codes: DeviceArray, chosen: DeviceArray, each: int = 0) -> DeviceArray | None:
         """Begin what `find` does; `answer` does the rest, and needs to wait the less the later.
 
-        With `each` codes a view: the order of views, as of `PartsDevice`, until the next asking.
+        With `each` codes a view: which views are late, as of `PartsDevice`, until the next asking.
         """
         self._call += 1
         self._expected = None  # that was of this call
@@ -300,7 +300,7 @@ class PosedBankDevice:
             self._take_uses()
         looked = self._look(codes, chosen, self._call, each=each)
         self._asking = codes, chosen, looked
-        return looked.order
+        return looked.late
 
     def answer(self, poses: CodedPoses) -> int:
         """End what `ask` began; see `find`. After `expect` nobody makes room for those that lack.
@@ -313,7 +313,7 @@ class PosedBankDevice:
         if self._asking is None:
             return 0
         codes, chosen, looked = self._asking
-        lacking, self.late = looked.numpy(), looked.late
+        lacking, self.late = looked.numpy(), looked.views
         if len(lacking):
             self._fill(lacking, poses, hurried=self._expected is not None)
             self._look(codes, chosen, self._call)

@@ -116,12 +116,11 @@ class PartsDevice:
             many each view has, those of one view after those of another.
         gains: float32 [I, 4, 3] as in `Instance`, or None.
         nearer: float32 [I] as in `Instance`, or None.
-        settle: called when half of many views was handed to the device, or before any, perhaps
+        settle: called when some of many views were handed to the device, or before any, perhaps
             again: only then are `chosen`, and the clouds in those slots, what they are to be. It
-            says how many views, the last of `order`, lacked somebody till then.
-        order: int32 [2, V] of calls with `settle` and a number of instances a view: views in the
-            order in which they are drawn, and the place of each in it. None: as they come, and all
-            wait for `settle`.
+            says in how many views somebody was not there till then.
+        late: int32 [V] in which views that is, of calls with `settle`: these are drawn last. None:
+            all wait for `settle`.
     """
 
     names: Sequence[str] | None
@@ -131,7 +130,7 @@ class PartsDevice:
     gains: DeviceArray | None = None
     nearer: DeviceArray | None = None
     settle: Callable[[], int] | None = None
-    order: DeviceArray | None = None
+    late: DeviceArray | None = None
 
 
 Parts = Sequence[Instance] | Sequence[Sequence[Instance]]

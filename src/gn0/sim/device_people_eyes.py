@@ -172,12 +172,12 @@ class PeopleEyesDevice:
             self._tables = device.upload(np.array(self._from)), device.upload(np.array(table))
         codes, poses, gains, chosen, nearer = self._shown
         self._find(simulator, company.crowd, (codes, poses, gains))
-        order = self.posed.ask(codes, chosen, each)
+        late = self.posed.ask(codes, chosen, each)
         if self.ahead:  # before anybody waits
             self._next = self._next or _new_looks(device, count)
             self._find(simulator, company.look_ahead(), self._next)
             self.posed.expect(self._next[0])
-        return PartsDevice(None, poses, chosen, each, gains, nearer, self._settle, order)
+        return PartsDevice(None, poses, chosen, each, gains, nearer, self._settle, late)
 
     def _settle(self) -> int:
         """Have all be posed whom agents see now; how many of these lacked somebody."""

@@ -64,7 +64,8 @@ STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _GROUPERS = 1024  # threads that group views
-_MANY = 256  # views from which on half of them are drawn apart from the others for little
+_MANY = 256  # views from which on some are drawn apart from the others for little
+_EARLY = 3  # eighths of them: the others' painting hides more that the host does
 _SAMPLED = 4096  # lists from which on they get room by a sample of the splats
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
@@ -185,8 +186,7 @@ class Drawer:
         if instances is not None and (
             pictures.semantic is not None or pictures.instance is not None
         ):
-            # labels are brought of all who stand there, in the views' own order
-            instances = replace(instances.settled()[0], order=None)
+            instances, _ = instances.settled()  # labels are brought of all who stand there
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
             placed = None if instances is None else instances.place(self.device)
@@ -275,9 +275,12 @@ class Drawer:
 
     def _early(self, work: WorkDevice) -> int:
         """How many views are drawn before it is known who stands where in the others."""
-        assert work.instances is not None
-        many = work.instances.order is not None and work.count >= _MANY
-        return work.count // 2 if many else 0
+        if not work.ranked or work.count < _MANY:
+            return 0
+        _, (clouds, *_), _, views = self._tables_there(work, slice(0, work.count), own=False)
+        order = self._need("order of views", 2 * work.count, np.int32)
+        work.rank(self._kernels, clouds, views, self._need("counts", 1, np.uint32)[:0], order)
+        return work.count * _EARLY // 8
 
     def _begin(self, work: Work) -> int:
         """Choose the kernels' sizes; returns how much memory lists may take."""
@@ -519,7 +522,8 @@ class Drawer:
     ) -> None:
         """Let the device make the tables of views, and zeros of the counts."""
         count, known = lists.count, len(work.table)
-        views = lists.to_write_views(work, zeros, _NOTHING_SENT if header is None else header.sent)
+        sent = _NOTHING_SENT if header is None else header.sent
+        views = work.to_write(lists.clouds, lists.views, lists.views_of, lists.counts[:zeros], sent)
         blocks = max(-(-count // 128), -(-zeros // 1024))
         self._kernels["write_views"].launch(blocks, 128, views)
         if work.grouped:

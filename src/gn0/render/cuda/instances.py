@@ -55,7 +55,7 @@ class Instances:
         gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
         nearer: float32 [I] by which each is sorted as if nearer [m]; None: 0.
         table: whose slots `chosen` numbers, if it does.
-        settle, order: as of `PartsDevice`.
+        settle, late: as of `PartsDevice`.
     """
 
     clouds: Sequence[CloudDevice | None]
@@ -66,7 +66,7 @@ class Instances:
     nearer: F32 | DeviceArray | None = None
     table: PartTable | None = None
     settle: Callable[[], int] | None = None
-    order: DeviceArray | None = None
+    late: DeviceArray | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -75,15 +75,15 @@ class Instances:
         """The same with `chosen`, and the table on the device, as they are to be drawn.
 
         Returns:
-            Themselves, and how many views, the last of `order`, are to be drawn behind this.
+            Themselves, and how many views were `late`.
 
         Raises:
             RenderError, DeviceMemoryError: whoever settles them could not.
         """
-        late = 0 if self.settle is None else self.settle()
+        many = 0 if self.settle is None else self.settle()
         if self.table is not None:
             self.table.flush()
-        return replace(self, settle=None), late
+        return replace(self, settle=None), many
 
     def place(self, device: Device) -> Instances:
         """The same with all arrays on the device."""
@@ -121,7 +121,7 @@ class Instances:
             firsts=firsts if isinstance(firsts, int) else here(firsts),
             gains=None if gains is None else here(gains),
             nearer=None if nearer is None else here(nearer),
-            order=None,
+            late=None,
         )
         found.check(views)
         shown = here(self.chosen) != NO_PART
@@ -216,13 +216,13 @@ class Instances:
         gains = (count, 4, 3) if self.gains is None else self.gains.shape
         whole = self.poses.shape[1:] == (4, 4) and self.chosen.shape == (count,)
         whole = whole and (self.nearer is None or self.nearer.shape == (count,))
-        whole = whole and (self.order is None or self.order.shape == (2, views))
+        whole = whole and (self.late is None or self.late.shape == (views,))
         if not (fits and whole and gains == (count, 4, 3)):
             raise RenderError(
                 f"{count} instances do not belong to {views} views",
                 where="instances",
                 remedy="give poses [I, 4, 4], numbers [I], gains [I, 4, 3], firsts [V + 1] and "
-                "orders [2, V]",
+                "who is late [V]",
             )
         if most > PARTS_MAX:
             raise RenderError(

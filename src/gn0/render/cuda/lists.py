@@ -22,10 +22,8 @@ from gn0.render.cuda.records import (
     PaintTiles,
     PartTables,
     ScanCounts,
-    SentWords,
     TileLists,
     WriteParts,
-    WriteViews,
 )
 from gn0.render.cuda.tables import CHUNK, GROUP, ShareSizes
 from gn0.render.cuda.work import WorkDevice
@@ -183,25 +181,6 @@ class Lists:
             told=told,
         )
 
-    def to_write_views(self, work: WorkDevice, zeros: int, header: SentWords) -> WriteViews:
-        """What `write_views` is given, to write so many zeros as well."""
-        return WriteViews(
-            matrices=work.poses,
-            chosen=work.chosen,
-            clouds=self.clouds,
-            named=np.uint32(work.named),
-            floors=work.floors,
-            tolerance=np.float64(VIEW_TOLERANCE),
-            order=None if work.instances is None else work.instances.order,
-            first=np.uint32(self.first),
-            count_=np.uint32(self.count),
-            like=work.like,
-            views=self.views,
-            zeros=self.counts,
-            zero_count=np.uint32(zeros),
-            header=header,
-        )
-
     def to_group_scenes(self, known: int, shown: DeviceArray) -> GroupViews:
         """What `group_views` is given of views and the clouds that scenes are, so many."""
         return self._to_group((0, self.count), (0, known), self.sizes.each, shown)
@@ -252,7 +231,7 @@ class Lists:
             normals=normals,
             bounds=None if instances.table is None else instances.table.bounds,
             tolerance=np.float64(VIEW_TOLERANCE),
-            order=instances.order,
+            order=work.order,
             first=np.uint32(self.first),
             count_=np.uint32(self.count),
             all=np.uint32(work.count),

@@ -172,7 +172,7 @@ class NamedClouds:
                 *(clouds, parts.poses, parts.chosen, parts.firsts, parts.gains, parts.nearer),
                 table=self.table if parts.names is None else None,
                 settle=parts.settle,
-                order=parts.order,
+                late=parts.late,
             )
             found.check(views)
             return found if len(found) else None

@@ -107,6 +107,15 @@ class WriteViews(NamedTuple):
     header: SentWords
 
 
+class RankViews(NamedTuple):
+    """`rank_views`: the order in which views are drawn."""
+
+    views: DeviceArray
+    late: DeviceArray
+    count_: np.uint32
+    order: DeviceArray
+
+
 class GroupViews(NamedTuple):
     """`group_views`: which views on the device show one cloud."""
 
@@ -344,15 +353,15 @@ class FindSlots(NamedTuple):
     missing: DeviceArray
 
 
-class OrderViews(NamedTuple):
-    """`order_views`: first the views in which nobody lacks, then the others."""
+class FindLate(NamedTuple):
+    """`find_late`: in which views somebody lacks a cloud, and how many those are."""
 
     codes: DeviceArray
     chosen: DeviceArray
     each: np.uint32
     count_: np.uint32
-    order: DeviceArray
     late: DeviceArray
+    many: DeviceArray
 
 
 class HoldSlots(NamedTuple):

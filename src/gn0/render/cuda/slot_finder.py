@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray, Download
 from gn0.jit import njit
 from gn0.render.cuda.posed import SOURCE
-from gn0.render.cuda.records import FindSlots, HoldSlots, OrderViews
+from gn0.render.cuda.records import FindLate, FindSlots, HoldSlots
 
 _MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
 _THREADS = 128
-_ORDERERS = 1024
 _LEAST = 2**15  # places: a thousand codes may come and go a step, and each time laid anew it waits
 
 
@@ -24,11 +23,11 @@ class LackingCodes:
     """Codes that were looked for and are in no slot, on their way to the host.
 
     Attributes:
-        order: as of `PartsDevice`, if it was asked for.
+        late: as of `PartsDevice`, if it was asked for.
     """
 
-    def __init__(self, download: Download, order: DeviceArray | None = None) -> None:
-        self._download, self.order = download, order
+    def __init__(self, download: Download, late: DeviceArray | None = None) -> None:
+        self._download, self.late = download, late
 
     def numpy(self) -> NDArray[np.uint64]:
         """Those codes, once each, in ascending order; waits for the device."""
@@ -36,8 +35,8 @@ class LackingCodes:
         return np.unique(words[2 : 2 + int(words[0])])
 
     @property
-    def late(self) -> int:
-        """Views, the last of `order`, that lack somebody; waits for the device."""
+    def views(self) -> int:
+        """How many views are late; waits for the device."""
         return int(self._download.numpy()[1])
 
 
@@ -54,7 +53,7 @@ class SlotFinder:
         self._places = self._keys = 0
         self._held: tuple[DeviceArray, DeviceArray, DeviceArray] | None = None
         self._spare: dict[int, tuple[DeviceArray, NDArray[np.uint64]]] = {}
-        self._order: DeviceArray | None = None
+        self._late: DeviceArray | None = None
         self._uses: Download | None = None  # on their way
         self._room: NDArray[np.uint32] = np.zeros((2, 0), np.uint32)
 
@@ -97,11 +96,11 @@ class SlotFinder:
             chosen: what is written to.
             stamp: by which what is found is stamped.
             lane: looks whose answers are awaited at the same time have different ones.
-            each: so many codes are of one view, and views are to be ordered; 0: they are not.
+            each: so many codes are of one view, and it is asked which views are late; 0: not.
 
         Returns:
-            The codes that are in none; until the next look of that lane. The order of views, until
-            they are ordered again.
+            The codes that are in none; until the next look of that lane. Which views are late,
+            until that is asked again.
         """
         assert self._held is not None
         keys, slots, uses = self._held
@@ -117,17 +116,17 @@ class SlotFinder:
         )
         kernels = self._device.load(SOURCE)
         kernels["find_slots"].launch(-(-count // _THREADS), _THREADS, record)
-        order: DeviceArray | None = None
+        late: DeviceArray | None = None
         if each:
             views = count // each
-            if self._order is None or self._order.shape[1] != views:
-                self._order = self._device.empty((2, views), np.int32)
-            order = self._order
-            ordering = OrderViews(
-                *(codes, chosen, np.uint32(each), np.uint32(views), order, missing[1:2])
+            if self._late is None or len(self._late) != views:
+                self._late = self._device.empty(views, np.int32)
+            late = self._late
+            finding = FindLate(
+                *(codes, chosen, np.uint32(each), np.uint32(views), late, missing[1:2])
             )
-            kernels["order_views"].launch(1, _ORDERERS, ordering)
-        return LackingCodes(self._device.download_async(missing, here), order)
+            kernels["find_late"].launch(-(-views // _THREADS), _THREADS, finding)
+        return LackingCodes(self._device.download_async(missing, here), late)
 
     @property
     def sends(self) -> bool:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import DeviceArray
+from gn0.device.device import DeviceArray, Kernel
 from gn0.errors import RenderError
 from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice, build_clouds
 from gn0.render.cuda.instances import BEFORE_TAILS, NO_PART, Instances, find_whose
+from gn0.render.cuda.records import RankViews, SentWords, WriteViews
 from gn0.render.cuda.tables import CHUNK, CLOUD, TILE, build_view
 from gn0.render.instance import PART_SPLATS_MAX
+from gn0.render.renderer import VIEW_TOLERANCE
+
+_RANKERS = 256  # threads of a block that ranks views
 
 
 class Work:
@@ -78,13 +82,66 @@ class Work:
 class WorkDevice(Work):
     """Views whose poses, and which of `clouds` they show, are on the device alone."""
 
+    order: DeviceArray | None  # int32 [2, V]: views as they are drawn, and the place of each
+
     @property
     def waits(self) -> bool:
         """Whether it is not known yet which clouds of instances are where."""
         return self.instances is not None and self.instances.settle is not None
 
+    def to_write(
+        self,
+        clouds: DeviceArray,
+        table: DeviceArray,
+        views: slice,
+        zeros: DeviceArray,
+        sent: SentWords,
+    ) -> WriteViews:
+        """What `write_views` is given to write some views to a table, and zeros."""
+        return WriteViews(
+            matrices=self.poses,
+            chosen=self.chosen,
+            clouds=clouds,
+            named=np.uint32(self.named),
+            floors=self.floors,
+            tolerance=np.float64(VIEW_TOLERANCE),
+            order=self.order,
+            first=np.uint32(views.start),
+            count_=np.uint32(views.stop - views.start),
+            like=self.like,
+            views=table,
+            zeros=zeros,
+            zero_count=np.uint32(len(zeros)),
+            header=sent,
+        )
+
+    @property
+    def ranked(self) -> bool:
+        """Whether the device knows which views are late."""
+        return self.instances is not None and self.instances.late is not None
+
+    def rank(
+        self,
+        kernels: Mapping[str, Kernel],
+        clouds: DeviceArray,
+        table: DeviceArray,
+        zeros: DeviceArray,
+        order: DeviceArray,
+    ) -> None:
+        """Have views be drawn in an `order`, those that are late at last.
+
+        Of the others those of one cloud come together: what lists it does so for many of them.
+        """
+        assert self.instances is not None and self.instances.late is not None
+        self.order, nothing = None, SentWords(None, None, np.uint32(0))
+        writing = self.to_write(clouds, table, slice(0, self.count), zeros, nothing)
+        kernels["write_views"].launch(-(-self.count // 128), 128, writing)
+        ranking = RankViews(table, self.instances.late, np.uint32(self.count), order)
+        kernels["rank_views"].launch(-(-self.count // _RANKERS), _RANKERS, ranking)
+        self.order = order
+
     def settle(self) -> int:
-        """Have that be known; the table may have grown. How many of the last views are new."""
+        """Have that be known; the table may have grown. How many views were late."""
         assert self.instances is not None
         self.instances, late = self.instances.settled()
         if self.part_table is not None:
@@ -103,6 +160,7 @@ class WorkDevice(Work):
         instances: Instances | None = None,
     ) -> None:
         self.count, self.poses, self.chosen, self.floors = len(poses), poses, chosen, floors
+        self.order = None
         self._of_clouds(camera, clouds, instances)
         self.named = len(clouds) if floors is None else len(floors)
         several = chosen is not None or floors is not None

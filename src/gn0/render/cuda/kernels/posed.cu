@@ -157,34 +157,16 @@ KERNEL(find_slots)(const u64 *__restrict__ codes, u32 count, const u64 *__restri
   chosen[i] = found;
 }
 
-#define ORDERERS 1024  // threads that order views
-
-// Behind `find_slots`: the views [count] of `each` codes, those first none of whose codes lacks a slot,
-// and the others behind them; one block. `order` [2, count] gets them, then the place of each in them;
-// `late` how many are not among the first.
-KERNEL_BOUNDED(order_views, ORDERERS, 1)
-(const u64 *__restrict__ codes, const int *__restrict__ chosen, u32 each, u32 count, int *order, u64 *late) {
-  __shared__ u32 held[ORDERERS / WARP];
-  u32 ready = 0;  // of the views before
-  for (u32 base = 0; base < count; base += ORDERERS) {
-    u32 v = base + threadIdx.x;
-    bool here = v < count;
-    for (u32 i = v * each; here && i < (v + 1) * each; i++) here = codes[i] == NOBODY || chosen[i] != HASH_NONE;
-    u32 votes = __ballot_sync(FULL, here), warp = threadIdx.x / WARP;
-    if (lane_id() == 0) held[warp] = __popc(votes);
-    __syncthreads();
-    u32 before = ready + __popc(votes & ((1u << lane_id()) - 1));
-    for (u32 w = 0; w < ORDERERS / WARP; w++) {
-      if (w < warp) before += held[w];
-      ready += held[w];
-    }
-    if (v < count) {
-      u32 at = here ? before : count - 1 - (v - before);
-      order[at] = (int)v, order[count + v] = (int)at;
-    }
-    __syncthreads();
-  }
-  if (threadIdx.x == 0) *late = count - ready;
+// Behind `find_slots`: in which views [count] of `each` codes one lacks a slot, and how many those are
+// in `many`, which begins at 0.
+KERNEL(find_late)(const u64 *__restrict__ codes, const int *__restrict__ chosen, u32 each, u32 count,
+                  int *late, u64 *many) {
+  u32 v = blockIdx.x * blockDim.x + threadIdx.x;
+  if (v >= count) return;
+  bool lacks = false;
+  for (u32 i = v * each; i < (v + 1) * each; i++) lacks = lacks || (codes[i] != NOBODY && chosen[i] == HASH_NONE);
+  late[v] = lacks;
+  if (lacks) atomicAdd(many, (u64)1);
 }
 
 // Put codes [count], once each, into the table of `find_slots`, each with the slot it was given, or

@@ -68,6 +68,27 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
   views[v] = like;
 }
 
+#define RANKERS 256  // threads that rank views
+
+// Views [count] as `write_views` wrote them in the order in which they are to be drawn: those that are
+// not `late` [count], then the others, views of one cloud one after another. `order` [2, count] gets
+// them, then the place of each in them.
+KERNEL_BOUNDED(rank_views, RANKERS, 1)
+(const View *__restrict__ views, const int *__restrict__ late, u32 count, int *order) {
+  __shared__ u64 keys[RANKERS];
+  u32 v = blockIdx.x * RANKERS + threadIdx.x, place = 0;
+  u64 mine = v < count ? (u64)late[v] << 32 | views[v].cloud : 0;
+  for (u32 base = 0; base < count; base += RANKERS) {
+    u32 other = base + threadIdx.x, many = min(count - base, RANKERS);
+    keys[threadIdx.x] = other < count ? (u64)late[other] << 32 | views[other].cloud : 0;
+    __syncthreads();
+    for (u32 k = 0; k < many; k++) place += keys[k] < mine || (keys[k] == mine && base + k < v);
+    __syncthreads();
+  }
+  if (v >= count) return;
+  order[place] = (int)v, order[count + v] = (int)place;
+}
+
 #define GROUPERS 1024  // threads that group views
 
 // Groups of the views from `first` to `count` that show each cloud from `begin` to `end`, as they all

@@ -64,8 +64,7 @@ STAGES = ("upload", "count", "scan", "emit", "blend")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _GROUPERS = 1024  # threads that group views
-_MANY = 256  # views from which on some are drawn apart from the others for little
-_EARLY = 3  # eighths of them: the others' painting hides more that the host does
+_MANY = 256  # views from which on half of them are drawn apart from the others for little
 _SAMPLED = 4096  # lists from which on they get room by a sample of the splats
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
@@ -280,7 +279,7 @@ class Drawer:
         _, (clouds, *_), _, views = self._tables_there(work, slice(0, work.count), own=False)
         order = self._need("order of views", 2 * work.count, np.int32)
         work.rank(self._kernels, clouds, views, self._need("counts", 1, np.uint32)[:0], order)
-        return work.count * _EARLY // 8
+        return work.count // 2
 
     def _begin(self, work: Work) -> int:
         """Choose the kernels' sizes; returns how much memory lists may take."""

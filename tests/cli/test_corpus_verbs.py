@@ -59,6 +59,21 @@ def test_a_scene_is_drawn_in_many_lights_and_written_in_one(
     assert "--overwrite" in capsys.readouterr().err
 
 
+def test_one_mood_is_drawn_as_often_as_asked(
+    flat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heights = []
+    for count in ([], ["--count", "4"]):
+        sheet = tmp_path / "dusk.jpg"
+        words = ["scene", "light", str(flat), "--mood", "dusk", *count, "--out", str(sheet)]
+        assert main(words) == 0
+        with Image.open(sheet) as drawn:
+            heights.append(drawn.width * drawn.height)
+    assert heights[1] > 2 * heights[0]
+    custom = ["scene", "light", str(flat), "--mood", "custom", "--count", "3"]
+    assert main(custom) == 2 and "--count" in capsys.readouterr().err
+
+
 def test_a_light_out_of_range_is_refused(flat: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scene", "light", str(flat), "--mood", "custom", "--exposure", "40"]) == 2
     assert "exposure" in capsys.readouterr().err

@@ -79,6 +79,9 @@ def test_a_scene_folder_is_the_suite_of_its_own_fifty_episodes(
     assert open_suite(flat_folder).hash == suite.hash  # sampled anew, in the cache
     with pytest.raises(StorageError, match="neither a suite"):
         open_suite(tmp_path, beside=out)
+    (tmp_path / "dataset.json").touch()
+    with pytest.raises(StorageError, match="give the suite that it was made of"):
+        open_suite(tmp_path, beside=out)
 
 
 def test_episodes_of_another_scene_beside_the_results_are_not_mixed_up(

@@ -15,6 +15,7 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 scene light out/flat
   gn0 scene light out/flat --seed 3 --count 12 --out lights.jpg
+  gn0 scene light out/flat --mood dusk --count 4
   gn0 scene light out/flat --mood dusk --write out/flat-dusk
   gn0 scene light out/flat --mood custom --exposure -1 --kelvin 3200 --write out/flat-warm"""
 
@@ -26,8 +27,8 @@ class Args(Config, frozen=True):
         folder: a scene folder.
         out: contact sheet to write, JPEG or PNG; default: NAME-light.jpg beside the scene.
         seed: seed of the conditions.
-        count: conditions on the sheet.
-        mood: only this one; custom takes the numbers below.
+        count: conditions on the sheet; 6 when left out, of a named mood 1.
+        mood: only this one, each time drawn anew; custom takes the numbers below, once.
         exposure: stops brighter or darker, -6 to 6.
         kelvin: colour temperature of the light, 1500 to 20000; 5500 leaves colours alone.
         contrast: contrast of light and shadow, 0 to 2, if the scene keeps them.
@@ -39,7 +40,7 @@ class Args(Config, frozen=True):
     folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     out: str = ""
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
-    count: Annotated[int, msgspec.Meta(ge=1, le=60)] = 6
+    count: Annotated[int, msgspec.Meta(ge=1, le=60)] | None = None
     mood: Literal[
         "bright day", "overcast", "warm lamps", "cool tubes", "dusk", "night", "any", "custom"
     ] = "any"
@@ -88,10 +89,12 @@ def run(args: Args) -> int:
     elif args.mood == "any":  # each mood comes before any comes again
         conditions = [
             draw_condition(args.seed, scene.id, k, mood=moods[k % len(moods)])
-            for k in range(args.count)
+            for k in range(args.count or 6)
         ]
     else:
-        conditions = [draw_condition(args.seed, scene.id, 0, mood=args.mood)]
+        conditions = [
+            draw_condition(args.seed, scene.id, k, mood=args.mood) for k in range(args.count or 1)
+        ]
     with draw_progress() as progress:
         sheet = render_light(scene, conditions, progress=progress)
         write_picture(str(out), sheet)
@@ -114,7 +117,7 @@ def run(args: Args) -> int:
 
 
 def _check_mood(args: Args) -> None:
-    """Refuse numbers that the named moods would not look at.
+    """Refuse numbers that the named moods would not look at, and a light by numbers many times.
 
     Raises:
         ConfigError: names them.
@@ -128,4 +131,10 @@ def _check_mood(args: Args) -> None:
             f"{' and '.join(given)} without effect: the mood is {args.mood!r}, not custom",
             where="gn0 scene light",
             remedy="add --mood custom, or leave them out",
+        )
+    if args.mood == "custom" and args.count not in (None, 1):
+        raise ConfigError(
+            f"--count {args.count}: a light by its numbers is one",
+            where="gn0 scene light",
+            remedy="leave --count out, or name another mood",
         )

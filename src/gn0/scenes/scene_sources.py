@@ -180,11 +180,15 @@ def import_scene(
             where=path,
             remedy="leave them out",
         )
-    if strict and source.name != "world":
+    plain = ImportSettings()
+    of_meshes = [
+        n for n in ("density", "light", "strict") if getattr(settings, n) != getattr(plain, n)
+    ]
+    if of_meshes and source.name != "world":
         raise ConfigError(
-            f"strict is for worlds of meshes, not for {source.name} scenes",
+            f"{' and '.join(of_meshes)}: for worlds of meshes, not for {source.name} scenes",
             where=path,
-            remedy="leave it out",
+            remedy=f"leave {'it' if len(of_meshes) == 1 else 'them'} out",
         )
     if isinstance(source, SceneSourceTelling):
         source.tell = tell

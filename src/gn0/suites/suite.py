@@ -495,6 +495,8 @@ def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
     if (folder / SUITE_FILE).is_file():
         return load_suite(folder)
     if not (folder / "scene.json").is_file():
+        if any((folder / name).is_file() for name in ("corpus.json", "dataset.json")):
+            raise _no_suite(folder)
         raise StorageError(
             "neither a suite (suite.json) nor a scene (scene.json)",
             where=folder,

@@ -125,6 +125,12 @@ def test_settings_of_captures_are_not_for_worlds(tmp_path):
         import_scene(world, tmp_path / "out", capture=CaptureSettings(up="y"))
 
 
+def test_settings_of_meshes_are_not_for_captures(ply, tmp_path):
+    with pytest.raises(ConfigError, match="density and light: for worlds of meshes"):
+        import_scene(ply, tmp_path / "out", density=5000, light="flat")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("name", "is_capture"),
     [("a.ply", True), ("a.SPLAT", True), ("b.spz", True), ("c.sog", True), ("d.glb", True),

@@ -588,12 +588,12 @@ def _cell(key: str, unit: str, metrics: dict[str, Interval]) -> dict[str, Any] |
     scale = 100.0 if unit == "%" else 1.0
     digits = 1 if unit in ("%", "") else 2
     values = [v * scale for v in (interval.mean, interval.low, interval.high)]
-    return {
-        "mean": f"{values[0]:.{digits}f}",
-        "low": f"{values[1]:.{digits}f}",
-        "high": f"{values[2]:.{digits}f}",
-        "bar": [round(v, 2) for v in values] if unit == "%" else None,
-    }
+    words = [f"{value:.{digits}f}" for value in values]
+    if unit == "%":  # a table full of 100.0–100.0 is wider than its page
+        words = [word.replace("100.0", "100") for word in words]
+    mean, low, high = words
+    bar = [round(v, 2) for v in values] if unit == "%" else None
+    return {"mean": mean, "low": low, "high": high, "bar": bar}
 
 
 def _best(runs: Sequence[RunData]) -> dict[str, float]:

@@ -16,6 +16,8 @@ from gn0.scenes.scene import Scene
 from gn0.scenes.world_defects import Tell, no_tell
 from gn0.storage import check_replaceable, plain_path
 
+_OWN_SPLATS = ("capture", "interiorgs")  # sources that come with them
+
 
 class ImportSettings(Config, frozen=True):
     """Settings of an import.
@@ -181,14 +183,21 @@ def import_scene(
             remedy="leave them out",
         )
     plain = ImportSettings()
-    of_meshes = [
-        n for n in ("density", "light", "strict") if getattr(settings, n) != getattr(plain, n)
+    given = [
+        name for name in ("density", "light") if getattr(settings, name) != getattr(plain, name)
     ]
-    if of_meshes and source.name != "world":
+    if given and source.name in _OWN_SPLATS:
         raise ConfigError(
-            f"{' and '.join(of_meshes)}: for worlds of meshes, not for {source.name} scenes",
+            f"{' and '.join(given)}: for what is covered with splats here; "
+            f"{source.name} scenes bring their own",
             where=path,
-            remedy=f"leave {'it' if len(of_meshes) == 1 else 'them'} out",
+            remedy=f"leave {'it' if len(given) == 1 else 'them'} out",
+        )
+    if strict and source.name != "world":
+        raise ConfigError(
+            f"strict is for worlds of meshes, not for {source.name} scenes",
+            where=path,
+            remedy="leave it out",
         )
     if isinstance(source, SceneSourceTelling):
         source.tell = tell

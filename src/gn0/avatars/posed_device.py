@@ -164,7 +164,7 @@ class PosedBankDevice:
         ahead: how many were made before anybody asked for them, see `expect`.
         evicted: how many have made room for others.
         launches: that have filled it.
-        late: how many views lacked somebody when they were asked for last, if that was asked.
+        late_views: how many views lacked somebody when they were asked for last, if that was asked.
 
     Raises:
         ConfigError: the budget is not above 0.
@@ -180,7 +180,7 @@ class PosedBankDevice:
                 remedy="give more than 0",
             )
         self.renderer, self.budget = renderer, budget
-        self.hits = self.misses = self.ahead = self.evicted = self.launches = self.late = 0
+        self.hits = self.misses = self.ahead = self.evicted = self.launches = self.late_views = 0
         self._held = CodeMap()  # slots
         self._named: dict[Hashable, int] = {}  # codes of keys that are none
         self._next_name = _NAMES
@@ -313,7 +313,7 @@ class PosedBankDevice:
         if self._asking is None:
             return 0
         codes, chosen, looked = self._asking
-        lacking, self.late = looked.numpy(), looked.views
+        lacking, self.late_views = looked.numpy(), looked.late_views
         if len(lacking):
             self._fill(lacking, poses, hurried=self._expected is not None)
             self._look(codes, chosen, self._call)

@@ -182,7 +182,7 @@ class PeopleEyesDevice:
     def _settle(self) -> int:
         """Have all be posed whom agents see now; how many of these lacked somebody."""
         self.posed.answer(self.codes)
-        return self.posed.late
+        return self.posed.late_views
 
     def pose_ahead(self) -> None:
         """Pose who will be seen next; the device draws what is seen now meanwhile.

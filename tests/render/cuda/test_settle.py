@@ -75,7 +75,7 @@ class Party:
 
     def answer(self) -> int:
         self.bank.answer(POSES)
-        return self.bank.late
+        return self.bank.late_views
 
     def draw(self, parts: PartsDevice, **more) -> list[bytes]:
         drawn = self.batch.draw(
@@ -105,6 +105,7 @@ def test_pictures_are_those_of_people_who_were_settled_before(many: int) -> None
         drawn = late.draw(late.ask(first, settle=late.answer))
         assert drawn == settled_before(early, first)
     assert len(late.batch._named.table) > 16
+    assert late.batch.drawer.repeats == early.batch.drawer.repeats
 
 
 @pytest.mark.parametrize("rows", [(0,), (1, 2), (0, 1, 3)])

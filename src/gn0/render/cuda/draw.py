@@ -32,7 +32,6 @@ from gn0.render.cuda.records import (
     PaintTarget,
     PartTables,
     PlaceLists,
-    SentWords,
     SumCounts,
 )
 from gn0.render.cuda.replay import (
@@ -57,7 +56,7 @@ from gn0.render.cuda.tables import (
     share_work,
 )
 from gn0.render.cuda.tune import MANY, Tuning, choose_tuning
-from gn0.render.cuda.work import Work, WorkDevice
+from gn0.render.cuda.work import NOTHING_SENT, Work, WorkDevice
 from gn0.render.renderer import Output
 
 STAGES = ("upload", "count", "scan", "emit", "blend")
@@ -73,7 +72,6 @@ _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted
 _VIEW_WORDS = VIEW.itemsize // 4
 _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
-_NOTHING_SENT = SentWords(None, None, np.uint32(0))  # but by a call that is replayed
 
 _log = logging.getLogger(__name__)
 
@@ -521,7 +519,7 @@ class Drawer:
     ) -> None:
         """Let the device make the tables of views, and zeros of the counts."""
         count, known = lists.count, len(work.table)
-        sent = _NOTHING_SENT if header is None else header.sent
+        sent = NOTHING_SENT if header is None else header.sent
         views = work.to_write(lists.clouds, lists.views, lists.views_of, lists.counts[:zeros], sent)
         blocks = max(-(-count // 128), -(-zeros // 1024))
         self._kernels["write_views"].launch(blocks, 128, views)

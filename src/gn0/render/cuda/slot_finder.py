@@ -35,7 +35,7 @@ class LackingCodes:
         return np.unique(words[2 : 2 + int(words[0])])
 
     @property
-    def views(self) -> int:
+    def late_views(self) -> int:
         """How many views are late; waits for the device."""
         return int(self._download.numpy()[1])
 

@@ -18,6 +18,7 @@ from gn0.render.cuda.tables import CHUNK, CLOUD, TILE, build_view
 from gn0.render.instance import PART_SPLATS_MAX
 from gn0.render.renderer import VIEW_TOLERANCE
 
+NOTHING_SENT = SentWords(None, None, np.uint32(0))  # but by a call that is replayed
 _RANKERS = 256  # threads of a block that ranks views
 
 
@@ -133,8 +134,8 @@ class WorkDevice(Work):
         Of the others those of one cloud come together: what lists it does so for many of them.
         """
         assert self.instances is not None and self.instances.late is not None
-        self.order, nothing = None, SentWords(None, None, np.uint32(0))
-        writing = self.to_write(clouds, table, slice(0, self.count), zeros, nothing)
+        self.order = None
+        writing = self.to_write(clouds, table, slice(0, self.count), zeros, NOTHING_SENT)
         kernels["write_views"].launch(-(-self.count // 128), 128, writing)
         ranking = RankViews(table, self.instances.late, np.uint32(self.count), order)
         kernels["rank_views"].launch(-(-self.count // _RANKERS), _RANKERS, ranking)

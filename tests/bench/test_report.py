@@ -98,6 +98,11 @@ def test_it_tells_intervals_protocol_and_both_errors(page: Path, runs: list[Path
         assert word in text
     mean = summary.metrics["NE_geo"]
     assert f"{mean.low:.2f}–{mean.high:.2f}" in text
+    success = summary.metrics["SR"]
+    assert success.high == 1.0
+    assert f">{100 * success.low:.1f}–100<" in text, (
+        "100.0–100.0 in every cell is wider than a page"
+    )
 
 
 def test_the_same_runs_give_the_same_report(runs: list[Path], page: Path, tmp_path: Path) -> None:

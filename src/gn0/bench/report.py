@@ -590,7 +590,7 @@ def _cell(key: str, unit: str, metrics: dict[str, Interval]) -> dict[str, Any] |
     values = [v * scale for v in (interval.mean, interval.low, interval.high)]
     words = [f"{value:.{digits}f}" for value in values]
     if unit == "%":  # a table full of 100.0–100.0 is wider than its page
-        words = [word.replace("100.0", "100") for word in words]
+        words = ["100" if word == "100.0" else word for word in words]
     mean, low, high = words
     bar = [round(v, 2) for v in values] if unit == "%" else None
     return {"mean": mean, "low": low, "high": high, "bar": bar}

@@ -188,7 +188,7 @@ def import_scene(
     ]
     if given and source.name in _OWN_SPLATS:
         raise ConfigError(
-            f"{' and '.join(given)}: for what is covered with splats here; "
+            f"{' and '.join(given)} for the splats that meshes are covered with: "
             f"{source.name} scenes bring their own",
             where=path,
             remedy=f"leave {'it' if len(given) == 1 else 'them'} out",

@@ -62,14 +62,17 @@ def test_a_scene_is_drawn_in_many_lights_and_written_in_one(
 def test_one_mood_is_drawn_as_often_as_asked(
     flat: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    heights = []
+    sheet, drawn = tmp_path / "dusk.png", []
     for count in ([], ["--count", "4"]):
-        sheet = tmp_path / "dusk.jpg"
         words = ["scene", "light", str(flat), "--mood", "dusk", *count, "--out", str(sheet)]
         assert main(words) == 0
-        with Image.open(sheet) as drawn:
-            heights.append(drawn.width * drawn.height)
-    assert heights[1] > 2 * heights[0]
+        with Image.open(sheet) as image:
+            drawn.append(np.asarray(image.convert("L"), np.float64))
+    one, four = drawn  # under the scene as it was made
+    assert one.shape[1] == four.shape[1] and 2 * one.shape[0] < four.shape[0]
+    bands = np.array_split(four, 5)
+    tones = [band[:, band.shape[1] // 2 :].mean() for band in bands]
+    assert max(tones[1:]) < tones[0] and len(set(np.round(tones[1:], 1))) == 4, "each anew"
     custom = ["scene", "light", str(flat), "--mood", "custom", "--count", "3"]
     assert main(custom) == 2 and "--count" in capsys.readouterr().err
 

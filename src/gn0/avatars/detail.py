@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.layer import PARTS
+from gn0.avatars.nearest import plant_tree
 from gn0.avatars.skeleton import INDEX, JOINTS
 from gn0.avatars.skinning import pack_weights, pose_joints, skin_points, unskin_points
 from gn0.avatars.surfels import STRANDS, blended_turns
@@ -228,12 +228,12 @@ def _group(laid: _Laid, count: int) -> NDArray[np.int64]:
         ]
     )
     middles = place[first]
-    group = cKDTree(middles).query(place)[1]
+    group = plant_tree(middles).query(place)[1]
     for _ in range(_ROUNDS):
         group = np.unique(group, return_inverse=True)[1]
         members = np.bincount(group).astype(np.float64)
         middles = np.stack([np.bincount(group, column) / members for column in place.T], axis=1)
-        group = cKDTree(middles).query(place)[1]
+        group = plant_tree(middles).query(place)[1]
     return np.asarray(np.unique(group, return_inverse=True)[1], np.int64)
 
 
@@ -244,7 +244,7 @@ def _even_sizes(points: F64, part: NDArray[np.int32]) -> F64:
         here = np.flatnonzero(part == number)
         most = min(_NEAR, len(here))
         away, near = (
-            a.reshape(len(here), -1) for a in cKDTree(points[here]).query(points[here], k=most)
+            a.reshape(len(here), -1) for a in plant_tree(points[here]).query(points[here], k=most)
         )
         size = np.median(away[:, min(6, most - 1)][near], axis=1)
         even[here] = np.maximum(_DENSE * size, 1e-4)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gn0.avatars.body import BodyShape
 from gn0.avatars.makehuman.mesh_obj import triangles_of
 from gn0.avatars.makehuman.mhclo import Cloth
+from gn0.avatars.nearest import plant_tree
 from gn0.avatars.sampling import SheetPoints
 from gn0.avatars.skinning import (
     SkinWeights,
@@ -186,7 +186,7 @@ def cloth_layer(fitting: Fitting, cloth: Cloth, part: str, over: float, **more: 
 def _weights_beneath(fitting: Fitting, points: F64) -> F64:
     """Skin weights [N, 55] of the skin that is nearest to points [N, 3] m in the sculpted pose."""
     skin = np.unique(fitting.shape.model.triangles)
-    away, nearest = cKDTree(fitting.sculpted[skin]).query(points, _NEAREST)
+    away, nearest = plant_tree(fitting.sculpted[skin]).query(points, _NEAREST)
     share = 1.0 / (away**2 + 1e-6)
     share /= share.sum(axis=1, keepdims=True)
     return np.asarray(np.einsum("nk,nkj->nj", share, fitting.dense[skin[nearest]]))

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gn0.avatars.cover import THICKNESS, Cover
 from gn0.avatars.dressed_body import DressedBody, tangents, unit
 from gn0.avatars.layer import PARTS, smooth_normals
+from gn0.avatars.nearest import plant_tree
 from gn0.avatars.rims import find_rim
 from gn0.avatars.sampling import SheetPoints, spread_points
 from gn0.avatars.skeleton import INDEX
@@ -92,7 +92,7 @@ class _Rims:
         for k, layer in enumerate(dressed.layers):
             if layer.part in _HEMMED:
                 rim = find_rim(layer, dressed.posed[k])[0]
-                nearest = cKDTree(dressed.posed[k]).query(rim)[1] if len(rim) else owner[0]
+                nearest = plant_tree(dressed.posed[k]).query(rim)[1] if len(rim) else owner[0]
                 points.append(rim)
                 owner.append(np.full(len(rim), k))
                 normals.append(smooth_normals(dressed.posed[k], layer.triangles)[nearest])
@@ -104,7 +104,7 @@ class _Rims:
             mine = rims.owner == k
             others = rims.points[(parts == parts[mine][0]) & ~mine]
             if len(others):
-                ends[mine] = cKDTree(others).query(rims.points[mine])[0] > _SEAM
+                ends[mine] = plant_tree(others).query(rims.points[mine])[0] > _SEAM
             lies = dressed.layers[k].over
             over = np.array([la.over > lies and not la.strands for la in dressed.layers])
             points, normal = rims.points[mine], rims.normals[mine]
@@ -165,7 +165,7 @@ def line_layers(
             arm = weights[:, _ARM_JOINTS].sum(axis=1) > 0.5
             share = np.where(arm, 1.0, face)
             far[arm] = _UP_SLEEVE
-        share = share * (cKDTree(over.points).query(dressed.posed[number])[0] < far)
+        share = share * (plant_tree(over.points).query(dressed.posed[number])[0] < far)
         cover = _line(dressed, number, tuck, share, stream, _tucked, rims)
         found += _hand_over(dressed, cover, over)
     return found
@@ -174,10 +174,10 @@ def line_layers(
 def _hand_over(dressed: DressedBody, cover: Cover, over: _Rims) -> list[tuple[int, Cover]]:
     """Discs under rims, as of the sheets that end there: so they do not show through those."""
     found = []
-    owner = over.owner[cKDTree(over.points).query(cover.surface)[1]]
+    owner = over.owner[plant_tree(over.points).query(cover.surface)[1]]
     for k in np.unique(owner):
         mine, layer = cover.select(owner == k), dressed.layers[k]
-        nearest = cKDTree(dressed.posed[k]).query(mine.surface)[1]
+        nearest = plant_tree(dressed.posed[k]).query(mine.surface)[1]
         # a triangle of each vertex, and which of its corners that is
         corner = np.zeros((len(layer.vertices), 2), np.int64)
         for side in range(3):
@@ -250,10 +250,10 @@ def _line(
     slit = np.zeros(len(point), bool)
     lips = np.intersect1d(layer.triangles[outer], layer.triangles[~outer])
     if len(lips):  # between lips and in nostrils it is dark
-        slit = (cKDTree(vertices[lips]).query(point)[0] < _SLIT) & (through < deep)
+        slit = (plant_tree(vertices[lips]).query(point)[0] < _SLIT) & (through < deep)
     along, room = _find_room(shell, centre, normal)
     if len(rims.points):
-        room = np.minimum(room, kind.clear * cKDTree(rims.points).query(point)[0][:, None])
+        room = np.minimum(room, kind.clear * plant_tree(rims.points).query(point)[0][:, None])
     # renderers draw a disc by the depth of its middle: a tilted one must not come before cloth
     wide = np.minimum(kind.wide * kind.apart, np.minimum(room / _SIGHT, _STEEP * deep[:, None]))
     keep = (deep >= _LEAST) & (wide.min(axis=1) >= _NARROW)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gn0.avatars.layer import Layer
+from gn0.avatars.nearest import plant_tree
 from gn0.geometry import F64
 
 _APART = 0.002  # of points along a rim [m]
@@ -40,7 +40,7 @@ def keep_from_rim(points: F64, normals: F64, rim: tuple[F64, F64], least: F64) -
     places, ways = rim
     if not len(places) or not len(points):
         return points
-    near, which = cKDTree(places).query(points, distance_upper_bound=float(least.max()))
+    near, which = plant_tree(places).query(points, distance_upper_bound=float(least.max()))
     rows = np.flatnonzero(near < least)
     away = points[rows] - places[which[rows]]
     for other in (ways[which[rows]], normals[rows]):  # square to the rim, in the sheet

@@ -177,7 +177,8 @@ def join_processes(device: Device | str = "auto") -> Iterator[Processes]:
     try:
         yield own
         # not after an error: it would wait for the others
-        distributed.barrier()  # nobody leaves while another still writes
+        # nobody leaves while another still writes
+        distributed.barrier(device_ids=[own.local] if on_card else None)
     finally:
         _release_reducers()
         while _AT_END:

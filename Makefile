@@ -36,10 +36,10 @@ types: dev
 	$(BIN)/mypy
 
 test: dev lint types ## what every change must pass: all that takes seconds
-	$(BIN)/pytest -m 'not exhaustive and not slow' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
+	$(BIN)/pytest -m 'not exhaustive and not slow' -n $(TEST_WORKERS) --dist loadfile --durations=25 $(PYTEST_FLAGS)
 
 test-all: dev ## the rest: long tests, every command of the documents, the examples
-	$(BIN)/pytest -m 'slow and not exhaustive' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
+	$(BIN)/pytest -m 'slow and not exhaustive' -n $(TEST_WORKERS) --dist loadfile --durations=25 $(PYTEST_FLAGS)
 
 readers: $(READERS)/.installed ## the real LeRobot, webdataset, datasets and pandas open what GN0 writes
 	PYTHONPATH=tests/readers/stubs HF_HUB_OFFLINE=1 GN0_READERS=docs/readers.json \
@@ -65,7 +65,7 @@ $(RL)/.installed: pyproject.toml constraints.txt
 
 # what meets transformers itself; the rest of training meets it through these
 BAE_OLDEST = $(patsubst %,tests/training/test_%.py,adapters learner pupil sft_verb training_state)
-BAE_PYTEST = OMP_NUM_THREADS=1 $(BAE)/bin/python -m pytest -p no:cacheprovider -ra -n $(TEST_WORKERS) --dist loadgroup
+BAE_PYTEST = OMP_NUM_THREADS=1 $(BAE)/bin/python -m pytest -p no:cacheprovider -ra -n $(TEST_WORKERS) --dist loadfile
 
 bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes
 	$(BAE_PYTEST) "tests/docs/test_documents.py::test_every_command_block_runs[training.md]" \
@@ -90,10 +90,10 @@ lowest: ## the lowest versions that pyproject allows, in a virtual environment o
 	$(VENV)-lowest/bin/pip install $(PIP_FLAGS) --prefer-binary -c $(VENV)-lowest/floors.txt -e '.[view]' \
 	  hypothesis msgpack pytest pytest-timeout pytest-xdist scikit-image shapely
 	$(VENV)-lowest/bin/gn0 doctor
-	$(VENV)-lowest/bin/pytest -m 'not exhaustive and not slow' -n $(TEST_WORKERS) --dist loadgroup $(LOWEST_TESTS)
+	$(VENV)-lowest/bin/pytest -m 'not exhaustive and not slow' -n $(TEST_WORKERS) --dist loadfile $(LOWEST_TESTS)
 
 search: dev ## property tests on fresh random examples: what they find becomes an @example
-	$(BIN)/pytest -m hypothesis --hypothesis-profile=search -n $(TEST_WORKERS) --dist loadgroup $(PYTEST_FLAGS)
+	$(BIN)/pytest -m hypothesis --hypothesis-profile=search -n $(TEST_WORKERS) --dist loadfile $(PYTEST_FLAGS)
 
 package: dev ## wheel and source archive, and what an index would say of them
 	$(BIN)/python -m build --outdir dist .

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -212,13 +212,23 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return heard
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Side by side: a file stays in one process, for its fixtures; documents go one by one."""
-    if not config.pluginmanager.hasplugin("xdist"):
-        return
-    for item in items:
-        alone = item.name.startswith("test_every_command_block_runs")
-        item.add_marker(pytest.mark.xdist_group(item.nodeid if alone else str(item.path)))
+@pytest.hookimpl(optionalhook=True)  # without xdist nobody asks
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Side by side: a file stays in one process, for its fixtures; documents go one by one.
+
+    Not by marks of groups: these travel in the names of tests, which pytest 9.2 does not let xdist
+    change any more.
+    """
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Dealer(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            alone = "::test_every_command_block_runs" in nodeid
+            return nodeid if alone else super()._split_scope(nodeid)
+
+    return Dealer(config, log)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -1,0 +1,47 @@
+"""Tests that run in several processes: a file stays in one, for its fixtures; documents do not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("xdist")
+
+OURS = """
+from importlib.util import module_from_spec, spec_from_file_location
+spec = spec_from_file_location("ours", {file!r})
+ours = module_from_spec(spec)
+spec.loader.exec_module(ours)
+pytest_xdist_make_scheduler = ours.pytest_xdist_make_scheduler
+"""
+TEST = """
+import os, time
+import pytest
+
+@pytest.mark.parametrize("number", range(6))
+def test_{name}(number):
+    time.sleep(0.1)
+    with open({told!r}, "a") as told:
+        told.write("{name} " + os.environ["PYTEST_XDIST_WORKER"] + chr(10))
+"""
+
+
+def test_a_file_stays_in_one_process_and_documents_go_one_by_one(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    ours = Path(__file__).with_name("conftest.py")
+    (tmp_path / "conftest.py").write_text(OURS.format(file=str(ours)))
+    for name in ("first", "second", "every_command_block_runs"):
+        text = TEST.format(name=name, told=str(told))
+        (tmp_path / f"test_{name}.py").write_text(text)
+    command = ["-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:cacheprovider", "."]
+    subprocess.run([sys.executable, *command], cwd=tmp_path, check=True, timeout=120)
+    found: dict[str, list[str]] = {}
+    for line in told.read_text().splitlines():
+        name, worker = line.split()
+        found.setdefault(name, []).append(worker)
+    assert [len(workers) for workers in found.values()] == [6, 6, 6]
+    assert len({*found["first"]}) == len({*found["second"]}) == 1
+    assert len({*found["every_command_block_runs"]}) == 2

@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from gn0.bench.compare import compare_runs, name_pairing
 from gn0.bench.follow_metrics import FollowMetrics
 from gn0.bench.replay import replay_run, rerun_policy
 from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
 from gn0.bench.runner import run_suite
+from gn0.cli.main import main
 from gn0.cli.result_tables import print_summaries
 from gn0.errors import EpisodeError, Gn0Error
 from gn0.missions.episode import MissionFollow
@@ -119,6 +121,27 @@ def test_floors_stay_on_the_floor(
     print_summaries([stands, runs])
     table = capsys.readouterr().out
     assert "TR_pooled" in table and "wrong_person" in table
+
+
+def test_following_is_compared_by_measures_of_its_own(
+    oracle: Path, small: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_suite(small, "always_stop", tmp_path)
+    rows = compare_runs(oracle, tmp_path)
+    going = {row.metric.key: row for row in rows if not row.following}
+    following = {row.metric.key: row for row in rows if row.following}
+    assert len(going) + len(following) == len(rows)
+    assert {"SR", "SPL", "CR"} <= going.keys() and going["SR"].episodes == 1
+    assert (going["CR"].a, going["SPL"].b) == (0.0, 0.0)
+    ours, stands = (scored(of(run)["a"][0]) for run in (oracle, tmp_path))
+    rate = following["TR_mean"]
+    assert (rate.a, rate.b, rate.episodes) == (ours.following_rate, stands.following_rate, 1)
+    assert ours.losses == 0 and "first_loss" not in following  # no pair has one
+    assert "TR_pooled" not in following  # no mean of episodes
+    assert name_pairing(oracle, tmp_path) == ""
+    assert main(["bench", "compare", str(oracle), str(tmp_path)]) == 0
+    table = capsys.readouterr().out
+    assert "1 pair of episodes;" in table and "1 pair of episodes of following;" in table
 
 
 def test_boxes_are_followed(small: Suite, tmp_path: Path) -> None:

@@ -181,7 +181,7 @@ def test_a_damaged_dataset_is_told_and_no_success(
 def test_a_comparison_names_each_side(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    row = SimpleNamespace(unit="scene", episodes=5)
+    row = SimpleNamespace(unit="scene", episodes=5, following=False)
     monkeypatch.setattr("gn0.bench.compare.compare_runs", lambda *a, **n: [row])
     for name in ("name_difference", "name_pairing"):
         monkeypatch.setattr(f"gn0.bench.compare.{name}", lambda *a: "")

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from gn0.bench.follow_metrics import FOLLOW_MEANS
 from gn0.bench.intervals import LEVEL, bootstrap_means
-from gn0.bench.metrics import METRICS, MetricInfo
-from gn0.bench.pairing import Pair, pair_episodes, pair_paths
-from gn0.bench.results import load_results, load_summary
+from gn0.bench.metrics import METRICS, TOUCHED, MetricInfo
+from gn0.bench.pairing import Pair, pair_episodes, pair_paths, scored_episodes
+from gn0.bench.results import load_summary
 from gn0.bench.standing import tell_standings
 from gn0.geometry import F64
 from gn0.seeds import random_stream
@@ -42,11 +43,12 @@ class Comparison:
         difference: a − b.
         low, high: its 95 % interval.
         verdict: see the module.
-        episodes: how many pairs, of episodes or of paths.
+        episodes: how many pairs, of episodes or of paths; those in which both have a value of it.
         chance: how often equal policies would differ as much (sign-flip test, two-sided).
         wins: pairs in which A has the higher value.
         losses: pairs in which B has it.
         unit: what was resampled and flipped: whole scenes, or episodes of these very scenes.
+        following: of episodes in which a person is followed, whose measures are others.
     """
 
     metric: MetricInfo
@@ -61,6 +63,7 @@ class Comparison:
     wins: int = 0
     losses: int = 0
     unit: Literal["scene", "episode"] = "episode"
+    following: bool = False
 
     def __str__(self) -> str:
         scale, unit = (100.0, "%") if self.metric.unit == "%" else (1.0, self.metric.unit)
@@ -77,7 +80,8 @@ def compare_runs(
 ) -> list[Comparison]:
     """Compare two runs of one suite, metric by metric, on the episodes that both scored.
 
-    The runs may differ in map mode, which `name_difference` then says.
+    The runs may differ in map mode, which `name_difference` then says. Episodes of following come
+    after all others, with measures of their own, but for ratios of sums over episodes.
 
     Whole scenes are resampled where there are at least six, which speaks of scenes like these; with
     fewer, episodes are, which speaks of these scenes alone. `unit` overrules.
@@ -111,32 +115,42 @@ def compare_paths(
 
 def compare_pairs(pairs: Sequence[Pair], *, seed: int = 0, unit: Unit = "auto") -> list[Comparison]:
     """Compare what was scored pair by pair, metric by metric; see `compare_runs`."""
+    rows = []
+    for following, measures in ((False, (*METRICS, TOUCHED)), (True, FOLLOW_MEANS)):
+        some = [pair for pair in pairs if pair.following is following]
+        rows += [_compare(some, info, seed, unit) for info in measures if _known(some, info)]
+    return rows
+
+
+def _known(pairs: Sequence[Pair], info: MetricInfo) -> list[Pair]:
+    """Those of which both sides have a value of a metric."""
+    return [pair for pair in pairs if pair.means(info) is not None]
+
+
+def _compare(pairs: Sequence[Pair], info: MetricInfo, seed: int, unit: Unit) -> Comparison:
+    pairs = _known(pairs, info)
     names = [pair.scene for pair in pairs]
     whole = unit == "scene" or (unit == "auto" and len(set(names)) >= FEW_SCENES)
     scenes = names if whole and len(set(names)) >= 2 else None
-    rows = []
-    for info in METRICS:
-        means = np.array([pair.means(info.field) for pair in pairs])
-        x, y = means[:, 0], means[:, 1]
-        low, high = paired_interval(x - y, scenes, seed=seed, name=info.key)
-        chance = sign_flip_chance(x - y, scenes, seed=seed, name=info.key)
-        rows.append(
-            Comparison(
-                metric=info,
-                a=float(x.mean()),
-                b=float(y.mean()),
-                difference=float((x - y).mean()),
-                low=low,
-                high=high,
-                verdict=judge_difference(info, low, high, chance),
-                episodes=len(pairs),
-                chance=chance,
-                wins=int((x > y).sum()),
-                losses=int((x < y).sum()),
-                unit="episode" if scenes is None else "scene",
-            )
-        )
-    return rows
+    means = np.array([pair.means(info) for pair in pairs], np.float64)
+    x, y = means[:, 0], means[:, 1]
+    low, high = paired_interval(x - y, scenes, seed=seed, name=info.key)
+    chance = sign_flip_chance(x - y, scenes, seed=seed, name=info.key)
+    return Comparison(
+        metric=info,
+        a=float(x.mean()),
+        b=float(y.mean()),
+        difference=float((x - y).mean()),
+        low=low,
+        high=high,
+        verdict=judge_difference(info, low, high, chance),
+        episodes=len(pairs),
+        chance=chance,
+        wins=int((x > y).sum()),
+        losses=int((x < y).sum()),
+        unit="episode" if scenes is None else "scene",
+        following=pairs[0].following,
+    )
 
 
 def paired_interval(
@@ -191,8 +205,7 @@ def name_pairing(a: Path | str, b: Path | str) -> str:
     Raises:
         StorageError, FormatError: a run is missing or damaged.
     """
-    scored_a = {r.episode for r in load_results(a) if r.metrics is not None}
-    scored_b = {r.episode for r in load_results(b) if r.metrics is not None}
+    scored_a, scored_b = scored_episodes(a).keys(), scored_episodes(b).keys()
     if scored_a == scored_b:
         return ""
     return (

@@ -133,6 +133,7 @@ FOLLOW_METRICS: tuple[MetricInfo, ...] = (
     _info("wrong_person", "wrong_person", "steps that followed somebody else", "%", "down"),
 )  # fmt: skip
 _POOLED = ("TR_pooled", "recovery_time")  # not means of episodes: sums divided by sums
+FOLLOW_MEANS = tuple(info for info in FOLLOW_METRICS if info.key not in _POOLED)
 
 
 def score_steps(record: FollowRecord, rules: FollowRules = FOLLOW) -> FollowSteps:

@@ -6,14 +6,14 @@ same start, the same goal and the same way between them, whatever suite they are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from gn0.bench.metrics import EpisodeMetrics
+from gn0.bench.follow_metrics import FollowMetrics
+from gn0.bench.metrics import TOUCHED, MetricInfo
 from gn0.bench.results import EpisodeResult, RunSummary, load_results, load_summary
 from gn0.errors import BenchError
 
@@ -29,18 +29,37 @@ class Pair:
     Attributes:
         name: name of the episode or path.
         scene: its scene.
-        a, b: scores of each run; several where a path was told in several styles.
+        a, b: what each run scored; several where a path was told in several styles.
     """
 
     name: str
     scene: str
-    a: tuple[EpisodeMetrics, ...]
-    b: tuple[EpisodeMetrics, ...]
+    a: tuple[EpisodeResult, ...]
+    b: tuple[EpisodeResult, ...]
 
-    def means(self, field: str) -> tuple[float, float]:
-        """The mean of a metric in a and in b."""
-        x, y = ([float(getattr(m, field)) for m in side] for side in (self.a, self.b))
-        return float(np.mean(x)), float(np.mean(y))
+    @property
+    def following(self) -> bool:
+        """Whether a person was followed; measures are others then."""
+        return isinstance(self.a[0].follow, FollowMetrics)
+
+    def means(self, info: MetricInfo) -> tuple[float, float] | None:
+        """The mean of a metric in a and in b; None where either side has no value of it."""
+        x, y = ([_value(info, one) for one in side] for side in (self.a, self.b))
+        known = [[v for v in side if v is not None] for side in (x, y)]
+        if len(known[0]) < len(x) or len(known[1]) < len(y):
+            return None
+        return float(np.mean(known[0])), float(np.mean(known[1]))
+
+
+def _value(info: MetricInfo, result: EpisodeResult) -> float | None:
+    """A measure of a scored episode; None where it has none, as of a loss that never came."""
+    if isinstance(result.follow, FollowMetrics):
+        found = getattr(result.follow, info.field)
+    elif info is TOUCHED:
+        found = result.touches > 0 if isinstance(result.touches, int) else None
+    else:
+        found = getattr(result.metrics, info.field)
+    return None if found is None else float(found)
 
 
 def pair_episodes(a: Path | str, b: Path | str) -> list[Pair]:
@@ -60,12 +79,22 @@ def pair_episodes(a: Path | str, b: Path | str) -> list[Pair]:
             remedy="compare runs of one suite; they may differ in map mode, in nothing else"
             + (", or pair them by path" if _have_paths(a, b) else ""),
         )
-    scored_a = {r.episode: r for r in load_results(a) if r.metrics is not None}
-    scored_b = {r.episode: r for r in load_results(b) if r.metrics is not None}
+    scored_a, scored_b = scored_episodes(a), scored_episodes(b)
     shared = sorted(scored_a.keys() & scored_b.keys())
     if not shared:
         raise BenchError("no episode was scored by both runs", where=b, remedy="run them again")
-    return [_pair(name, [scored_a[name]], [scored_b[name]]) for name in shared]
+    return [
+        Pair(name, scored_a[name].scene, (scored_a[name],), (scored_b[name],)) for name in shared
+    ]
+
+
+def scored_episodes(run: Path | str) -> dict[str, EpisodeResult]:
+    """Episodes of a run that have a score, of going somewhere or of following, by id.
+
+    Raises:
+        StorageError, FormatError: the run is missing or damaged.
+    """
+    return {r.episode: r for r in load_results(run) if r.success is not None}
 
 
 def pair_paths(
@@ -108,9 +137,11 @@ def pair_paths(
             f"B has {len(by_b)} of {mission_b or 'any mission'}",
             where=b,
             remedy="only suites of `gn0 missions generate` have paths; their missions are goal, "
-            "instruction, instruction/detailed and instruction/benchmark",
+            "instruction, instruction/detailed and instruction/benchmark; following has none",
         )
-    return [_pair(name, by_a[name], by_b[name]) for name in shared]
+    return [
+        Pair(name, by_a[name][0].scene, tuple(by_a[name]), tuple(by_b[name])) for name in shared
+    ]
 
 
 def tell_paths(a: Path | str, b: Path | str, mission_a: str = "", mission_b: str = "") -> list[str]:
@@ -134,15 +165,6 @@ def tell_paths(a: Path | str, b: Path | str, mission_a: str = "", mission_b: str
     if others:
         notes.append(f"A and B also differ in {', '.join(others)}")
     return notes
-
-
-def _pair(name: str, a: Sequence[EpisodeResult], b: Sequence[EpisodeResult]) -> Pair:
-    return Pair(
-        name,
-        a[0].scene,
-        tuple(r.metrics for r in a if r.metrics is not None),
-        tuple(r.metrics for r in b if r.metrics is not None),
-    )
 
 
 def _by_path(run: Path | str, mission: str) -> dict[str, list[EpisodeResult]]:

@@ -7,11 +7,14 @@ other, in two runs or in one.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from gn0.config import Config
+
+if TYPE_CHECKING:
+    from gn0.bench.compare import Comparison
 
 EXAMPLES = """  gn0 bench compare out/oracle out/random
   gn0 bench compare out/walls out/random --unit episode
@@ -71,9 +74,18 @@ def run(args: Args) -> int:
     for note in notes:
         if note:
             print(f"note: {note}")
+    for following in (False, True):
+        some = [row for row in rows if row.following is following]
+        if some:
+            _print_rows(some, f"{pairs} of following" if following else pairs)
+    return 0
+
+
+def _print_rows(rows: list[Comparison], pairs: str) -> None:
     about = "scenes like these" if rows[0].unit == "scene" else f"these scenes, other {pairs}"
-    print(f"{rows[0].episodes} pairs of {pairs}; n : m counts the pairs that A and B lead;")
+    count = f"{rows[0].episodes} pair{'' if rows[0].episodes == 1 else 's'}"
+    print(f"{count} of {pairs}; n : m counts the pairs that A and B lead;")
     print(f"intervals of 95 %; a verdict holds for {about}")
     for row in rows:
-        print(row)
-    return 0
+        few = row.episodes < rows[0].episodes
+        print(f"{row}" + (f" (of {row.episodes} pairs that have it)" if few else ""))

@@ -121,6 +121,8 @@ def test_the_same_command_writes_the_same_bytes(bank: Path, tmp_path: Path) -> N
         (["--motion", "walk", "--speed", "9"], "speed"),
         (["--motion", "sit", "--seat", "2"], "seat"),
         (["--motion", "wave", "--seconds", "0.01"], "one frame"),
+        (["--motion", "wave", "--speed", "1.4"], "--speed is of carry, start, stop, walk"),
+        (["--motion", "walk", "--seat", "0.3"], "--seat is of sit, sit_down, stand_up"),
     ],
 )
 def test_bad_input_is_refused(
@@ -134,6 +136,15 @@ def test_bad_input_is_refused(
     shown = capsys.readouterr()
     assert words in shown.out + shown.err
     assert not (tmp_path / "o").exists()
+
+
+def test_a_folder_of_something_else_is_left_as_it_was(
+    bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene.json").write_text("{}")
+    assert animate(bank, "--motion", "wave", "--seconds", 0.2, "--out", tmp_path) == 2
+    assert "holds something else" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
 
 
 def test_documents_of_frames_are_checked(tmp_path: Path) -> None:

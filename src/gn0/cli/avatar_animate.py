@@ -15,6 +15,9 @@ EXAMPLES = """  gn0 avatar animate out/bank --name p0003 --motion walk --out out
   gn0 avatar animate out/bank --name p0003 --motion sit_down --out out/sits
   gn0 avatar animate out/bank/p0003.npz --motion dance.bvh --seconds 8 --ply --out out/dance"""
 
+DEFAULT_SPEED, DEFAULT_SEAT = 1.0, 0.45  # m/s, m
+SEATED = ("sit", "sit_down", "stand_up")
+
 
 class Args(Config, frozen=True):
     """Who moves, how, and where to write it.
@@ -24,7 +27,8 @@ class Args(Config, frozen=True):
         motion: a clip of the library (walk, run, idle_1, wave, sit, …), or a file of motion.
         out: folder to write smplx.json, the video and splats into.
         name: the avatar of the bank; the first without it.
-        speed: of walk, start and stop, in metres a second; the nearest of six classes is taken.
+        speed: of walk, carry, start and stop, in metres a second; the nearest of six classes is
+            taken.
         seconds: how long; a loop goes on for as long, other clips end before; 0 takes all of it.
         fps: frames a second of what is written.
         seed: how the person moves: style of steps, arms and gestures.
@@ -36,11 +40,11 @@ class Args(Config, frozen=True):
     motion: str
     out: str
     name: str = ""
-    speed: Annotated[float, msgspec.Meta(ge=0.2, le=2.0)] = 1.0
+    speed: Annotated[float, msgspec.Meta(ge=0.2, le=2.0)] = DEFAULT_SPEED
     seconds: Annotated[float, msgspec.Meta(ge=0.0, le=600.0)] = 0.0
     fps: Annotated[int, msgspec.Meta(ge=5, le=120)] = 30
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
-    seat: Annotated[float, msgspec.Meta(ge=0.3, le=0.65)] = 0.45
+    seat: Annotated[float, msgspec.Meta(ge=0.3, le=0.65)] = DEFAULT_SEAT
     ply: bool = False
 
 
@@ -67,7 +71,7 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError, StorageError
     from gn0.gaussians.ply import save_ply
-    from gn0.storage import check_writable
+    from gn0.storage import check_replaceable, check_writable
     from gn0.viewer.avatar_film import write_film
 
     if args.motion not in CLIPS and not (args.motion and Path(args.motion).exists()):
@@ -76,6 +80,7 @@ def run(args: Args) -> int:
             where="--motion",
             remedy=f"clips are {', '.join(CLIPS)}",
         )
+    _check_together(args)
     (avatar,) = open_avatars(args.source, args.name, first=True)
     if args.motion in CLIPS:
         build = measure_build(avatar.joints, avatar.points, avatar.weights)
@@ -85,6 +90,7 @@ def run(args: Args) -> int:
         motion = put_on_floor(load_motion(args.motion, avatar.joints), avatar.joints)
     played = play_motion(motion, args.fps, args.seconds)
     out = Path(args.out)
+    check_replaceable(out, overwrite=True, marker="smplx.json")  # what no animation left is kept
     check_writable(out / "smplx.json")
     stale = find_stale_frames(out, len(played) if args.ply else 0)
     if stale:
@@ -113,3 +119,24 @@ def run(args: Args) -> int:
         print(f"note    {note}")
     print(f"written to {out}: smplx.json, {film.name}" + (", frame00001.ply …" if args.ply else ""))
     return 0
+
+
+def _check_together(args: Args) -> None:
+    """Refuse what the motion has no use for.
+
+    Raises:
+        ConfigError: it is given all the same.
+    """
+    from gn0.avatars.motion.library import BY_SPEED
+    from gn0.errors import ConfigError
+
+    for flag, given, clips in (
+        ("--speed", args.speed != DEFAULT_SPEED, sorted(BY_SPEED)),
+        ("--seat", args.seat != DEFAULT_SEAT, sorted(SEATED)),
+    ):
+        if given and args.motion not in clips:
+            raise ConfigError(
+                f"{flag} is of {', '.join(clips)}",
+                where=f"--motion {args.motion}",
+                remedy="leave it out",
+            )

@@ -322,7 +322,9 @@ def check_contained(folder: Path | str) -> None:
                         waiting.append(Path(entry.path))
                     elif not entry.is_file():
                         raise StorageError(
-                            "is not a plain file", where=entry.path, remedy="remove it"
+                            "is not a plain file",
+                            where=entry.path,
+                            remedy=f"move it out of {root}, or give another folder",
                         )
     except (FileNotFoundError, NotADirectoryError):
         return  # whoever reads it says so in better words, and names may come and go

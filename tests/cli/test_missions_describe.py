@@ -8,9 +8,11 @@ import pytest
 from PIL import Image
 
 from gn0.cli.main import main
+from gn0.missions.episode import MissionFollow
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite
 from gn0.testing.scenes import build_room_scene
+from gn0_trials.follow_suite_small import save_small
 from gn0_trials.rogue_language import ROGUES, serve_language
 
 
@@ -46,6 +48,16 @@ def test_the_first_ones_are_told_where_none_is_named(
         and "example-flat_0001" in said
         and "example-flat_0002" not in said
     )
+
+
+def test_whom_to_follow_is_told_as_the_mission_has_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suite = save_small(tmp_path / "suite")
+    follow = next(e.mission for e in suite.episodes if isinstance(e.mission, MissionFollow))
+    assert main(["missions", "describe", str(suite.folder)]) == 0
+    said = capsys.readouterr().out
+    assert f"“{follow.instruction}”" in said and "the person chooses the way" in said
 
 
 def test_it_draws_the_route(suite: Path, tmp_path: Path) -> None:

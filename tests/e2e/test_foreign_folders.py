@@ -29,7 +29,7 @@ from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 from gn0.data.shard import load_shard
 from gn0.errors import StorageError
 from gn0.scenes.example import build_example_scene
-from gn0.scenes.folder import save_scene
+from gn0.scenes.folder import load_scene, save_scene
 from gn0.storage import check_contained
 from gn0.suites.known_suites import known_suites
 from gn0.suites.suite import build_suite, load_suite
@@ -363,3 +363,5 @@ def test_links_that_stay_inside_are_harmless_and_pipes_are_not(tmp_path: Path) -
     os.mkfifo(tmp_path / "a" / "pipe")
     with pytest.raises(StorageError, match=r"pipe: is not a plain file"):
         check_contained(tmp_path)
+    with pytest.raises(StorageError, match=r"scene.json is missing"):
+        load_scene(tmp_path)  # no scene: nothing in it is to be removed

@@ -63,6 +63,7 @@ def run(args: Args) -> int:
 
     from gn0.cli.console import draw_progress
     from gn0.maps.navigation import NavigationMap
+    from gn0.missions.episode import MissionFollow
     from gn0.missions.language.describe import describe_route
     from gn0.scenes.scene import SceneObject, SceneRoom
     from gn0.suites.suite import load_suite_scene, open_suite
@@ -80,6 +81,10 @@ def run(args: Args) -> int:
         maps: dict[float, NavigationMap] = {}
         for episode in chosen:
             if episode.scene_id != name:
+                continue
+            if isinstance(episode.mission, MissionFollow):
+                print(f"{episode.id}, scene {name}: “{episode.mission.instruction}”")
+                print("  the person chooses the way: there is no route to describe\n")
                 continue
             radius = episode.agent.radius
             with draw_progress("describing the route"):

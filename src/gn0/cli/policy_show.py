@@ -121,6 +121,12 @@ def _check_together(args: Args) -> None:
             where="gn0 policy show",
             remedy="give one of them",
         )
+    if not args.from_ and (args.pick, args.seed) != (3, 0):
+        raise ConfigError(
+            "--pick and --seed draw episodes of a run",
+            where="gn0 policy show",
+            remedy="add --from RUN, or leave them out",
+        )
 
 
 def _draw_decision(

@@ -219,7 +219,6 @@ def load_scene_file(folder: Path) -> SceneFile:
             where=folder,
             remedy="make one with `gn0 scene import` or `gn0 scene generate`",
         )
-    check_contained(folder)
     path = safe_join(folder, SCENE_FILE)
     if not path.is_file():
         raise StorageError(
@@ -227,6 +226,7 @@ def load_scene_file(folder: Path) -> SceneFile:
             where=folder,
             remedy="run `gn0 scene import` on it, or restore the file",
         )
+    check_contained(folder)  # of a scene alone: what lies in any other folder is nobody's fault
     about = load_json(path, SceneFile)
     if about.layout != LAYOUT_VERSION:
         raise FormatError(

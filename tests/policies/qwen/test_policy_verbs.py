@@ -98,6 +98,7 @@ def test_a_decision_and_a_whole_walk_are_drawn(
         (("--pose", "1,2"), "is not a pose"),
         (("--pose", "1e3,0,0"), "cannot stand at"),
         (("--pose", "1,2,3", "--steps", "all"), "--pose and --steps"),
+        (("--pick", "9"), "--pick and --seed draw episodes of a run"),
     ):
         assert show(policy, suite, tmp_path / "bad.png", *more) == 2
         assert said in capsys.readouterr().err

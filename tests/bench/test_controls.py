@@ -10,6 +10,7 @@ import pytest
 from gn0.bench.compare import compare_runs, name_difference
 from gn0.bench.results import load_results, load_summary
 from gn0.bench.runner import run_suite
+from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError
 from gn0.suites.suite import Suite
 
@@ -92,3 +93,13 @@ def test_who_is_shown_painted_maps_is_said_to_be_told_labels(
     assert dict(told[1].protocol)["the policy sees"] == "ego_map, labels of the scene"
     assert told[0].standing == "on the track"
     assert told[1].standing == "off the track" and told[1].beyond == ("labels of the scene",)
+
+
+def test_a_run_ends_with_what_the_policy_said_was_odd(
+    flats_suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["bench", "run", str(flats_suite.folder), "--policy", "listening", "--limit", "1"]
+    more = ["--plugin", "listening_policies", "--no-report", "--out", str(tmp_path / "run")]
+    assert main([*command, *more]) == 0
+    said = capsys.readouterr().out
+    assert "note: the policy says: light, " in said and "in 1 of the episodes" in said

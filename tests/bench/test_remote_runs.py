@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from gn0.bench import runner
-from gn0.bench.results import RunSummary, load_results, load_summary
+from gn0.bench.results import RunSummary, count_notes, load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.cli import bench_run
 from gn0.errors import ConfigError, PolicyError
@@ -134,6 +134,7 @@ def test_what_was_odd_is_counted_in_results(flats_suite: Suite, tmp_path: Path) 
     result = load_results(tmp_path)[0]
     assert result.status == "valid" and result.stopped
     assert result.notes == {"answers not understood": 1, "resets refused": 1}
+    assert count_notes(tmp_path) == dict.fromkeys(result.notes, (1, 1))
     card = dict(summary.protocol)
     assert "2 actions" in card["answers in words"] and "odometry" in card["the policy sees"]
 

@@ -366,6 +366,16 @@ def iterate_results(run: Path) -> Iterator[EpisodeResult]:
         raise storage_error(error, path, "read") from error
 
 
+def count_notes(run: Path) -> dict[str, tuple[int, int]]:
+    """What the policy of a run said was odd: how often in all, and in how many episodes."""
+    found: dict[str, tuple[int, int]] = {}
+    for result in iterate_results(run):
+        for name, count in (result.notes or {}).items():
+            often, episodes = found.get(name, (0, 0))
+            found[name] = often + count, episodes + 1
+    return dict(sorted(found.items()))
+
+
 def _load_lines(path: Path, kind: type[T]) -> list[T]:
     lines = read_bytes(path, SIZE_LIMIT).splitlines()
     return [decode_json(line, kind, file=f"{path}, line {i}") for i, line in enumerate(lines, 1)]

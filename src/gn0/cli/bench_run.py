@@ -9,7 +9,7 @@ scored ones never.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -110,6 +110,7 @@ def run(args: Args) -> int:
     """Run, print the table, write the report; 1 when an episode failed to run."""
     from gn0.bench.identity import digest_policy
     from gn0.bench.report import write_report
+    from gn0.bench.results import count_notes
     from gn0.bench.run_folder import check_run_folder
     from gn0.bench.runner import run_suite
     from gn0.cli.console import draw_progress, plain_text, say_backend
@@ -161,10 +162,22 @@ def run(args: Args) -> int:
                 bank=args.bank or None, progress=progress,
             )  # fmt: skip
     print_summaries([summary])
+    for line in _tell_notes(count_notes(out)):
+        print(plain_text(line))
     print(f"results: {out / 'results.jsonl'}")
     if report is not None:
         print(f"report:  {report}")
     return 0 if not summary.failed else 1
+
+
+def _tell_notes(notes: Mapping[str, tuple[int, int]]) -> list[str]:
+    """What the policy said was odd, the first few of it, as a run ends."""
+    lines = [
+        f"note: the policy says: {name}, {often} in {episodes} of the episodes"
+        for name, (often, episodes) in list(notes.items())[:6]
+    ]
+    more = len(notes) - len(lines)
+    return [*lines, f"note: it says {more} other things, see results.jsonl"] if more else lines
 
 
 def _forget_suite(scene: Path, suite: Path) -> None:

@@ -19,6 +19,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.sim import presets
 from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.device_states import pick_rows
 from gn0.sim.presets import CameraPreset
 from gn0.sim.simulator import Simulator
 from gn0.testing.scenes import (
@@ -373,6 +374,12 @@ def test_headings_of_ones_own_come_and_go(plans) -> None:
     assert go_on(env, many_actions(99, 20, 3)) == told
     assert sum(references(env)) == 3 + int((env.simulator.queue.filled
                                             - env.simulator.queue.known).sum())  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", [{}, None, [1]])
+def test_what_is_no_saved_states_is_refused_by_name(wrong) -> None:
+    with pytest.raises(SimError, match="are not saved states"):
+        pick_rows(wrong, None)
 
 
 def test_states_are_joined_and_those_of_others_refused(plans) -> None:

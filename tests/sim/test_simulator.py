@@ -326,6 +326,22 @@ def test_a_saved_state_knows_whether_it_had_bumped(room_scene, make_episode) -> 
         assert simulator.observe_at(simulator.pose).collided is collided
 
 
+def test_a_state_is_restored_in_its_own_scene_alone(room_scene, plan_scene, make_episode) -> None:
+    here = open_simulator(room_scene, sensors={"pose", "ranges"})
+    here.reset(make_episode())
+    state = here.save_state()
+    elsewhere = open_simulator(plan_scene, sensors={"pose", "ranges"})
+    with pytest.raises(EpisodeError, match="belongs to scene .*not to 'plan'"):
+        elsewhere.restore_state(state)
+    with pytest.raises(SimError, match="ranges.*not carried"):
+        open_simulator(room_scene, sensors={"pose"}).restore_state(state)
+    before = here.step(FORWARD).info["pose"]
+    for wrong in ({}, None, "state"):
+        with pytest.raises(SimError, match="is not a saved state"):
+            here.restore_state(wrong)
+    assert here.pose == before and here.steps == 1
+
+
 def test_looking_from_elsewhere_moves_nobody(room_scene, make_episode) -> None:
     simulator = open_simulator(room_scene, "vlnce", sensors={"rgb", "history", "goal_vector"})
     simulator.reset(make_episode())

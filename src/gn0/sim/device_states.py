@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray
-from gn0.errors import EpisodeError, SimError
+from gn0.errors import EpisodeError, SimError, brief
 from gn0.geometry import F64, wrap_angle
 from gn0.seeds import random_stream
 from gn0.sim.device_layout import blocks_of
@@ -501,8 +501,12 @@ def pick_rows(states: AgentStates, rows: Any) -> NDArray[np.int64]:
     """Rows of saved states as int64 [K]; all of them when None.
 
     Raises:
-        SimError: they are no such rows.
+        SimError: they are no such rows, or no saved states.
     """
+    if not isinstance(states, AgentStates):
+        raise SimError(
+            f"{brief(states)} are not saved states", remedy="give what save_state() returned"
+        )
     return np.arange(len(states)) if rows is None else _pick("rows", rows, len(states))
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from gn0.errors import EpisodeError, SimError
+from gn0.errors import EpisodeError, SimError, brief
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import (
     AgentSpec,
@@ -263,19 +263,9 @@ class Simulator:
             SimError: a sensor is asked for that the agent does not carry.
         """
         check_episode(episode)
-        if episode.scene_id != self.scene.id:
-            raise EpisodeError(
-                f"episode belongs to scene {episode.scene_id!r}, not to {self.scene.id!r}",
-                where=f"episode {episode.id!r}",
-                remedy="open the simulator with the episode's own scene",
-            )
-        check_places(self.navigation, episode, self.agent.radius)
         wanted = self.sensors if sensors is None else frozenset(sensors)
-        if not wanted <= self.sensors:
-            raise SimError(
-                f"sensors {sorted(wanted - self.sensors)} are not carried by this agent",
-                remedy="open the simulator with them",
-            )
+        self._check_fits(episode, wanted)
+        check_places(self.navigation, episode, self.agent.radius)
         self._company.begin(episode)
         if episode.people and self._suite.renderer is not None:
             self._show_people(self._suite.renderer, episode)
@@ -457,7 +447,17 @@ class Simulator:
         )
 
     def restore_state(self, state: SimState) -> None:
-        """Go back to a saved state, bit for bit."""
+        """Go back to a saved state, bit for bit.
+
+        Raises:
+            EpisodeError: of another scene.
+            SimError: not a saved state, or of an agent with other sensors.
+        """
+        if not isinstance(state, SimState):
+            raise SimError(
+                f"{brief(state)} is not a saved state", remedy="give what save_state() returned"
+            )
+        self._check_fits(state.episode, state.wanted)
         self._company.restore(state.episode, state.people)
         self._episode = state.episode
         self._want(state.wanted)
@@ -469,6 +469,24 @@ class Simulator:
         self._last_look = self._last_who = self._last_moment = None
         self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)
+
+    def _check_fits(self, episode: Episode, wanted: frozenset[str]) -> None:
+        """Refuse another scene's episode, and sensors that the agent does not carry.
+
+        Raises:
+            EpisodeError, SimError: of the one and of the other.
+        """
+        if episode.scene_id != self.scene.id:
+            raise EpisodeError(
+                f"episode belongs to scene {episode.scene_id!r}, not to {self.scene.id!r}",
+                where=f"episode {episode.id!r}",
+                remedy="open the simulator with the episode's own scene",
+            )
+        if not wanted <= self.sensors:
+            raise SimError(
+                f"sensors {sorted(wanted - self.sensors)} are not carried by this agent",
+                remedy="open the simulator with them",
+            )
 
     def _want(self, wanted: frozenset[str]) -> None:
         """Choose what is observed, and what must be drawn for it."""

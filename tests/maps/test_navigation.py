@@ -175,3 +175,22 @@ def test_the_nearest_cell_to_a_point_a_million_kilometres_away_is_found_at_once(
         found = find_nearest_cell(grid, -far, 1.0)
         assert found is not None and found[1] == 0  # from so far all rows are as near
     assert time.monotonic() - began < 30.0
+
+
+@pytest.mark.parametrize("far", [1e12, 1e300, 1e308, -1e308])
+@pytest.mark.filterwarnings("error")
+def test_a_point_however_far_is_outside_the_map(far: float) -> None:
+    """Its column was too large for a number of NumPy, or infinite."""
+    walk = NavigationMap(two_rooms(), 0.1)
+    for x, y in ((far, 1.0), (1.0, far), (far, -far)):
+        assert not walk.grid.is_free(x, y) and not walk.is_free(x, y)
+        assert walk.region_of(x, y) == -1
+        assert walk.nearest_free(x, y) is not None
+        assert walk.geodesic((1.0, 1.0)).distance_at(x, y) == math.inf
+        with pytest.raises(PlanError):
+            walk.geodesic((x, y))
+        with pytest.raises(PlanError):
+            walk.plan((x, y), (1.0, 1.0))
+        (row, col) = walk.grid.cell_of(x, y)
+        assert not walk.grid.contains(row, col)
+        assert walk.grid.cells_of(np.array([[x, y], [0.07, 0.0]])).tolist() == [[row, col], [0, 1]]

@@ -42,7 +42,7 @@ def test_a_corner_touches_all_four_cells() -> None:
     assert count_blocked_legs(grid_of("#.", ".."), leg[::-1].copy()) == 1
 
 
-@pytest.mark.parametrize("end", [(-0.5, 0.5), (0.5, 9.0), (2.5, -0.1)])
+@pytest.mark.parametrize("end", [(-0.5, 0.5), (0.5, 9.0), (2.5, -0.1), (1e308, 0.5), (0.5, -1e20)])
 def test_outside_the_grid_is_blocked(end: tuple[float, float]) -> None:
     assert count_blocked_legs(grid_of("...", "...", "..."), np.array([[1.5, 1.5], end])) == 1
 

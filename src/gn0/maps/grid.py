@@ -14,6 +14,7 @@ from gn0.geometry import F64, U8
 from gn0.storage import content_hash
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
+FAR = 2.0**31  # cells; places beyond are counted as this far, which is outside any grid
 GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
 
 
@@ -70,14 +71,23 @@ class OccupancyGrid:
         return float((self.cells == FREE).sum()) * self.resolution**2
 
     def cell_of(self, x: float, y: float) -> tuple[int, int]:
-        """(row, col) of the cell that holds a world point [m]; may lie outside the grid."""
-        col = math.floor((x - self.origin[0]) / self.resolution)
-        row = math.floor((y - self.origin[1]) / self.resolution)
-        return row, col
+        """(row, col) of the cell that holds a world point [m]; may lie outside the grid.
+
+        No further than `FAR`, so that a cell fits into an int64 whatever the point.
+        """
+        u = (x - self.origin[0]) / self.resolution
+        v = (y - self.origin[1]) / self.resolution
+        if abs(u) > FAR:
+            u = math.copysign(FAR, u)
+        if abs(v) > FAR:
+            v = math.copysign(FAR, v)
+        return math.floor(v), math.floor(u)
 
     def cells_of(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
-        """(row, col) [N, 2] of world points [N, 2] m; may lie outside the grid."""
-        p = (np.asarray(points, np.float64).reshape(-1, 2) - self.origin) / self.resolution
+        """(row, col) [N, 2] of world points [N, 2] m; may lie outside the grid, up to `FAR`."""
+        p = np.asarray(points, np.float64).reshape(-1, 2) - self.origin
+        far = FAR * self.resolution
+        p = np.minimum(np.maximum(p, -far), far) / self.resolution
         return np.floor(p).astype(np.int64)[:, ::-1]
 
     def centre_of(self, row: int, col: int) -> tuple[float, float]:

@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from gn0.errors import PlanError
 from gn0.geometry import F32
 from gn0.jit import njit
-from gn0.maps.grid import OccupancyGrid
-
-_FAR = 2.0**31  # cells; beyond it a target is clamped, it lies outside any grid
+from gn0.maps.grid import FAR, OccupancyGrid
 
 
 @njit(inline="always")
@@ -70,7 +68,7 @@ def trace_cells(blocked, row0, col0, row1, col1):  # type: ignore[no-untyped-def
 @njit
 def trace_points(blocked, origin_x, origin_y, resolution, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
     """`trace_move` on plain values; NaN must have been refused by the caller."""
-    far = 2147483648.0
+    far = FAR
     col0 = math.floor(min(max((x0 - origin_x) / resolution, -far), far))
     row0 = math.floor(min(max((y0 - origin_y) / resolution, -far), far))
     col1 = math.floor(min(max((x1 - origin_x) / resolution, -far), far))
@@ -200,7 +198,7 @@ def cast_rays(
     directions = np.ascontiguousarray(angles, np.float64).ravel()
     out = np.empty(len(directions))
     s = float(blocked.resolution)
-    u = min(max((x - blocked.origin[0]) / s, -_FAR), _FAR)
-    v = min(max((y - blocked.origin[1]) / s, -_FAR), _FAR)
+    u = min(max((x - blocked.origin[0]) / s, -FAR), FAR)
+    v = min(max((y - blocked.origin[1]) / s, -FAR), FAR)
     cast_rays_cells(blocked.blocked, u, v, directions, float(max_range) / s, out)
     return (out * s).astype(np.float32)

@@ -28,6 +28,10 @@ def _enters_blocked(blocked, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
 
     Where it passes through a corner, all four cells there are met.
     """
+    height, width = blocked.shape
+    for u, v in ((u0, v0), (u1, v1)):  # what is outside may be no int64, too
+        if not (0.0 <= u < width and 0.0 <= v < height):
+            return True
     col, row = math.floor(u0), math.floor(v0)
     last_col, last_row = math.floor(u1), math.floor(v1)
     if is_blocked(blocked, row, col) or is_blocked(blocked, last_row, last_col):

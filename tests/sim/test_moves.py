@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from gn0.errors import PolicyError, SimError
 from gn0.geometry import Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec
 from gn0.sim.kinematics import plan_journey
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
-from gn0.sim.state import Action, Displacement, Teleport
+from gn0.sim.state import Action, Displacement, Observation, Teleport
 from gn0.testing.scenes import build_point_episodes
 
 BODY = AgentSpec()  # 0.25 m, 15 degrees
@@ -43,6 +44,39 @@ def test_a_move_costs_what_walking_it_would(
     pose = Pose2D(3.7, -41.3, yaw)
     x, y, end = Displacement(*move).at(pose)
     assert plan_journey(pose, x, y, end, BODY).steps == steps
+
+
+class PolicyLost:
+    """Wants to make one move, again and again."""
+
+    name = "lost"
+    sensors: frozenset[str] = frozenset()
+
+    def __init__(self, move: Displacement | Teleport) -> None:
+        self.move = move
+
+    def reset(self, instruction: str, rng: np.random.Generator) -> None:
+        pass
+
+    def act(self, observation: Observation) -> Displacement | Teleport:
+        return self.move
+
+
+@pytest.mark.parametrize("move", [Displacement, Teleport])
+@pytest.mark.parametrize("place", [(1e308, 0.0), (0.0, -1e308), (1e308, 1e308), (2e9, 0.0)])
+def test_a_move_to_the_end_of_the_world_is_refused_and_told_of_its_policy(
+    plan_scene, move, place
+) -> None:
+    """The steps of such a way are no number."""
+    simulator = open_simulator(plan_scene)
+    episode = build_point_episodes(plan_scene, simulator.navigation, 1)[0]
+    simulator.reset(episode)
+    before = simulator.pose
+    with pytest.raises(SimError, match=r"leads farther than 1e\+09 m"):
+        simulator.step(move(*place, 0.0))
+    assert simulator.pose == before and simulator.steps == 0
+    with pytest.raises(PolicyError, match=r"step 0: policy 'lost' returned no valid action: \w+"):
+        run_episode(simulator, PolicyLost(move(*place, 0.0)), episode)
 
 
 def test_a_move_costs_the_episodes_own_body() -> None:

@@ -16,6 +16,8 @@ from gn0.missions.episode import AgentSpec, Episode
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
 
+FARTHEST = 1e9  # m; the steps to a place beyond may be no number
+
 
 class Move(NamedTuple):
     """Outcome of a translation: where it ended (x, y) [m], its length [m], whether it was cut."""
@@ -69,12 +71,17 @@ def check_places(navigation: NavigationMap, episode: Episode, radius: float) -> 
 
 
 def check_finite(name: str, *values: float) -> None:
-    """Refuse NaN and infinity before they reach the map.
+    """Refuse a place that cannot be, x and y [m] first, before it reaches the map.
 
     Raises:
-        SimError: a value is not finite.
+        SimError: a value is not finite, or the place is beyond `FARTHEST`.
     """
     if not all(math.isfinite(value) for value in values):
         raise SimError(
             f"{name} {tuple(values)} holds NaN or infinity", remedy="give finite metres and radians"
+        )
+    if not (abs(values[0]) <= FARTHEST and abs(values[1]) <= FARTHEST):
+        raise SimError(
+            f"{name} {tuple(values)} leads farther than {FARTHEST:g} m",
+            remedy="give metres and radians within reach of the scene",
         )

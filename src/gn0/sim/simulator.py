@@ -299,7 +299,8 @@ class Simulator:
         action's code, −1 of a move of any length.
 
         Raises:
-            SimError: before reset, after the end, or not a valid action (unknown, or holds NaN).
+            SimError: before reset, after the end, or not a valid action (unknown, holds NaN, or
+                leads farther than 10⁹ m).
         """
         if self._over:
             raise SimError(
@@ -397,7 +398,7 @@ class Simulator:
         """What the agent would see at another pose now; it does not move.
 
         Raises:
-            SimError: before reset, or the pose holds NaN.
+            SimError: before reset, or the pose holds NaN or is farther than 10⁹ m.
         """
         _ = self.episode
         check_finite("pose", *pose)

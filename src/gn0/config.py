@@ -5,12 +5,14 @@ tyro does not enforce msgspec's bounds, so whatever comes from it passes `check_
 
 from __future__ import annotations
 
+import math
+import operator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
-from gn0.errors import ConfigError, FormatError, Gn0Error
+from gn0.errors import ConfigError, FormatError, Gn0Error, brief
 from gn0.storage import read_bytes
 
 T = TypeVar("T")
@@ -20,6 +22,29 @@ JSON_LIMIT = 256 * 2**20  # bytes; a JSON file larger than this is refused unrea
 
 class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parent of all settings: frozen, keyword-only, unknown fields refused."""
+
+
+def as_index(value: Any) -> int | None:
+    """A whole number of whatever library as an int; None for anything else, a truth among it."""
+    if isinstance(value, bool):  # NumPy's own is no index
+        return None
+    try:
+        return operator.index(value)
+    except TypeError:
+        return None
+
+
+def whole_number(value: Any, name: str, least: float = 1) -> int:
+    """An argument that counts something, as an int.
+
+    Raises:
+        ConfigError: it is no whole number, or less than `least`.
+    """
+    number = as_index(value)
+    if number is None or number < least:
+        low = "" if least == -math.inf else f" of at least {least}"
+        raise ConfigError(f"{name} is {brief(value)}", remedy=f"give a whole number{low}")
+    return number
 
 
 def check_config(config: T) -> T:

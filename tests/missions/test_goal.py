@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import msgspec
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gn0.errors import EpisodeError, PlanError
+from gn0.errors import ConfigError, EpisodeError, PlanError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.alike import build_targets, describe_target
@@ -229,8 +230,23 @@ def test_too_small_a_scene_says_how_many_there_are() -> None:
     navigation = NavigationMap(scene.grid, 0.2)
     with pytest.raises(EpisodeError, match="only 0 of 5 episodes of at least 50 m"):
         sample_goal_episodes(scene, navigation, 5, minimum_length=50)
-    with pytest.raises(EpisodeError, match="count is 0"):
-        sample_goal_episodes(scene, navigation, 0)
+
+
+def test_counts_and_seeds_of_episodes_are_whole_numbers() -> None:
+    """2.7 gave three episodes, and a seed of 1.9 those of seed 1."""
+    scene = make_scene(objects=(thing("sofa", "sofa", 1.0, 1.0),))
+    navigation = NavigationMap(scene.grid, 0.2)
+    for count in (0, -1, 2.7, True, "3", None):
+        with pytest.raises(ConfigError, match=r"count is .*whole number of at least 1"):
+            sample_goal_episodes(scene, navigation, count)
+    for seed in (1.9, math.nan, True, "3", None):
+        with pytest.raises(ConfigError, match=r"seed is .*give a whole number"):
+            sample_goal_episodes(scene, navigation, 1, seed)
+    found, again = (
+        sample_goal_episodes(scene, navigation, np.int64(1), seed, minimum_length=1.0)
+        for seed in (3, np.int64(3))
+    )
+    assert found == again and type(again[0].seed) is int
 
 
 def test_a_scene_without_labels_is_refused_in_plain_words() -> None:

@@ -100,10 +100,14 @@ def test_an_episode_is_chosen_by_id_or_index_alone(wanted) -> None:
     )
 
 
-@pytest.mark.parametrize("seed", [1.5, "ab", {"a": 1, "b": 2}, [1, 2.5], np.array([1.0, 2.0])])
+@pytest.mark.parametrize(
+    "seed", [1.5, True, "ab", {"a": 1, "b": 2}, [1, 2.5], [1, False], np.array([1.0, 2.0])]
+)
 def test_seeds_are_integers(seed) -> None:
     with pytest.raises(ConfigError, match="seed"):
         VectorEnv(2, sensors=SENSORS).reset(seed=seed)
+    with pytest.raises(ConfigError, match="seed"):
+        GoalNavEnv(sensors=SENSORS).reset(seed=seed)
 
 
 def test_seeds_of_numpy_are_seeds() -> None:

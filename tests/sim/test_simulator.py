@@ -251,8 +251,14 @@ def test_wrong_settings_are_refused(room_scene) -> None:
         open_simulator(room_scene, "kinect")
     with pytest.raises(ConfigError, match="renderer"):
         open_simulator(room_scene, backend="opengl", sensors={"rgb"})
-    with pytest.raises(SimError, match="max_steps"):
-        open_simulator(room_scene, max_steps=0)
+    for steps in (0, 2.5, math.nan, math.inf, True, "5", None):
+        with pytest.raises(ConfigError, match=r"max_steps is .*whole number of at least 1"):
+            open_simulator(room_scene, max_steps=steps)
+        with pytest.raises(ConfigError, match="max_steps is"):
+            Simulator(room_scene, navigation=NavigationMap(room_scene.grid), max_steps=steps)
+    for renderer in ("gpu", 3):
+        with pytest.raises(ConfigError, match=r"renderer is .*DrawnScene.*backend='cpu'"):
+            open_simulator(room_scene, sensors={"rgb"}, renderer=renderer)
     with pytest.raises(SimError, match=r"inflated by 0.5 m"):
         Simulator(room_scene, navigation=NavigationMap(room_scene.grid, 0.5))
 
@@ -331,9 +337,9 @@ def test_a_state_is_restored_in_its_own_scene_alone(room_scene, plan_scene, make
     here.reset(make_episode())
     state = here.save_state()
     elsewhere = open_simulator(plan_scene, sensors={"pose", "ranges"})
-    with pytest.raises(EpisodeError, match="belongs to scene .*not to 'plan'"):
+    with pytest.raises(EpisodeError, match=r"belongs to scene .*not to 'plan'"):
         elsewhere.restore_state(state)
-    with pytest.raises(SimError, match="ranges.*not carried"):
+    with pytest.raises(SimError, match=r"ranges.*not carried"):
         open_simulator(room_scene, sensors={"pose"}).restore_state(state)
     before = here.step(FORWARD).info["pose"]
     for wrong in ({}, None, "state"):

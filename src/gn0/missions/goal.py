@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gn0.config import whole_number
 from gn0.errors import EpisodeError
 from gn0.geometry import F64
 from gn0.maps.grid import FREE
@@ -130,11 +132,11 @@ def sample_goal_episodes(
         progress: progress sink.
 
     Raises:
+        ConfigError: the count is no whole number of at least 1, or the seed no whole number.
         EpisodeError: nothing to go to, or fewer than `count` tasks of that length exist.
     """
     agent = agent or AgentSpec()
-    if count < 1:
-        raise EpisodeError(f"count is {count}", where=scene.id, remedy="ask for at least 1")
+    count, seed = whole_number(count, "count"), whole_number(seed, "seed", -math.inf)
     targets = build_targets(scene, navigation)
     if not targets:
         raise EpisodeError(

@@ -28,6 +28,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from gn0.config import whole_number
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
@@ -54,7 +55,6 @@ from gn0.sim.env_arguments import (
     check_settings,
     read_options,
     read_seeds,
-    whole_number,
 )
 from gn0.sim.motion import Motion
 from gn0.sim.presets import find_preset

@@ -27,6 +27,7 @@ False}`: Gymnasium reads texts from shared memory only once, so instructions wou
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -37,6 +38,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from gn0.config import whole_number
 from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
@@ -199,9 +201,11 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
 
         Raises:
             EpisodeError: no such episode, or it does not fit its scene.
-            ConfigError: no such option.
+            ConfigError: no such option, or the seed is no whole number.
         """
         options = read_options(options, ("episode",))
+        if seed is not None:
+            seed = whole_number(seed, "seed", -math.inf)  # Gymnasium takes True for 1
         super().reset(seed=seed)
         episode = self._choose(options.get("episode"))
         self._simulator = self._open(name_look(episode))

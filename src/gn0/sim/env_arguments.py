@@ -7,30 +7,17 @@ another library: each is named here, and nothing that is not understood is quiet
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from gn0.config import as_index
 from gn0.errors import ConfigError, SimError, brief
 from gn0.missions.episode import AgentSpec
 from gn0.render.open import choose_backend
 from gn0.sim.noise import Noise
 from gn0.sim.simulator import action_code
-
-
-def whole_number(value: Any, name: str, least: float = 1) -> int:
-    """An argument that counts something, as an int.
-
-    Raises:
-        ConfigError: it is no whole number, or less than `least`.
-    """
-    number = _index(value)
-    if number is None or number < least:
-        low = "" if least == -math.inf else f" of at least {least}"
-        raise ConfigError(f"{name} is {brief(value)}", remedy=f"give a whole number{low}")
-    return number
 
 
 def check_settings(
@@ -60,7 +47,7 @@ def check_settings(
     if history_tile is not None and (
         not isinstance(history_tile, Sequence | np.ndarray)
         or len(history_tile) != 2
-        or any(_index(side) is None for side in history_tile)
+        or any(as_index(side) is None for side in history_tile)
     ):
         raise ConfigError(
             f"history_tile is {brief(history_tile)}", remedy="give (width, height) in pixels"
@@ -111,7 +98,7 @@ def read_seeds(seed: Any, count: int) -> list[int | None] | None:
     """
     if seed is None:
         return None
-    first = _index(seed, bools=True)
+    first = as_index(seed)
     if first is not None:
         seeds: list[int | None] = [first + i for i in range(count)]
     elif isinstance(seed, list | tuple | range | np.ndarray):
@@ -120,7 +107,7 @@ def read_seeds(seed: Any, count: int) -> list[int | None] | None:
                 f"{len(seed)} seeds for {count} environments",
                 remedy="give one each, or one integer for all",
             )
-        seeds = [None if value is None else _index(value, bools=True) for value in seed]
+        seeds = [None if value is None else as_index(value) for value in seed]
         for i, value in enumerate(seed):
             if value is not None and seeds[i] is None:
                 raise ConfigError(
@@ -135,7 +122,7 @@ def read_seeds(seed: Any, count: int) -> list[int | None] | None:
 
 def episode_index(value: Any) -> int:
     """An index that names an episode, or −1 for what is none, so that it is refused by name."""
-    number = _index(value)
+    number = as_index(value)
     return -1 if number is None else number
 
 
@@ -152,16 +139,6 @@ def read_code(action: Any) -> int:
             f"{brief(action)} is not an action",
             remedy="give an integer: STOP 0, FORWARD 1, LEFT 2 or RIGHT 3",
         ) from None
-
-
-def _index(value: Any, *, bools: bool = False) -> int | None:
-    """A whole number of whatever library as an int; None for anything else."""
-    if isinstance(value, bool | np.bool_) and not bools:
-        return None
-    try:
-        return operator.index(value)
-    except TypeError:
-        return None
 
 
 def _is_real(value: Any) -> bool:

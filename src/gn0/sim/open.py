@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from gn0.config import check_config
-from gn0.errors import SceneError
+from gn0.config import check_config, whole_number
+from gn0.errors import ConfigError, SceneError, brief
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.paper import BEV_CUT
@@ -100,10 +100,18 @@ def open_simulator(
         person_radius: of people's discs [m].
 
     Raises:
-        ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
+        ConfigError: unknown preset, backend, sensor or map mode, a map in mode none, no renderer,
+            or max_steps is no whole number of at least 1.
         SceneError: nothing is walkable for this agent.
         StorageError, FormatError: the scene folder is missing or broken.
     """
+    if renderer is not None and not callable(getattr(renderer, "render", None)):
+        raise ConfigError(
+            f"renderer is {brief(renderer)}, which draws nothing",
+            remedy="give DrawnScene(build_renderer(scene.gaussians)), or the name of a backend as "
+            "backend='cpu', 'cuda', 'cpu-visible' or 'cuda-visible'",
+        )
+    max_steps = whole_number(max_steps, "max_steps")  # before a scene is opened for nothing
     active = frozenset(sensor.name for sensor in carry_sensors(sensors).sensors)
     mode = check_map_mode(map_mode, active)
     if not isinstance(scene, Scene):

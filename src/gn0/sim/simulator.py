@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from gn0.config import whole_number
 from gn0.errors import EpisodeError, SimError, brief
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import (
@@ -124,7 +125,8 @@ class Simulator:
 
     Raises:
         SimError: a sensor lacks its renderer or picture, the map was inflated for another
-            radius, or max_steps < 1.
+            radius.
+        ConfigError: max_steps is no whole number of at least 1.
         SceneError: ego maps are to be painted by categories, and nothing is labelled.
     """
 
@@ -148,10 +150,8 @@ class Simulator:
         self.scene = scene
         self.navigation = navigation
         self.agent = agent or config.preset.agent
-        self.max_steps = max_steps
+        self.max_steps = whole_number(max_steps, "max_steps")
         self.one_step_moves = one_step_moves
-        if max_steps < 1:
-            raise SimError(f"max_steps is {max_steps}", remedy="allow at least one action")
         if abs(navigation.radius - self.agent.radius) > 1e-9:
             raise SimError(
                 f"map inflated by {navigation.radius:g} m, agent radius {self.agent.radius:g} m",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from gn0.config import decode_json
+from gn0.config import decode_json, whole_number
 from gn0.errors import ConfigError, EpisodeError, FormatError, StorageError, brief
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
@@ -18,7 +18,6 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
-from gn0.sim.env_arguments import whole_number
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.state import MapMode

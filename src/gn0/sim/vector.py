@@ -27,6 +27,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from gn0.config import whole_number
 from gn0.errors import ConfigError, EpisodeError, brief
 from gn0.geometry import F64, U8
 from gn0.missions.episode import AgentSpec, Episode
@@ -51,7 +52,6 @@ from gn0.sim.env_arguments import (
     episode_index,
     read_options,
     read_seeds,
-    whole_number,
 )
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise

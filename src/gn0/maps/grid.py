@@ -84,7 +84,7 @@ class OccupancyGrid:
         return math.floor(v), math.floor(u)
 
     def cells_of(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
-        """(row, col) [N, 2] of world points [N, 2] m; may lie outside the grid, up to `FAR`."""
+        """(row, col) [N, 2] of world points [N, 2] m; may lie outside the grid, by 2³¹ at most."""
         p = np.asarray(points, np.float64).reshape(-1, 2) - self.origin
         far = FAR * self.resolution
         p = np.minimum(np.maximum(p, -far), far) / self.resolution

@@ -132,7 +132,7 @@ def sample_goal_episodes(
         progress: progress sink.
 
     Raises:
-        ConfigError: the count is no whole number of at least 1, or the seed no whole number.
+        ConfigError: count or seed is not a whole number, or the count is below 1.
         EpisodeError: nothing to go to, or fewer than `count` tasks of that length exist.
     """
     agent = agent or AgentSpec()

@@ -294,7 +294,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
         Raises:
             EpisodeError: no such episode, or it does not fit its scene.
-            ConfigError: seeds or mask of another length.
+            ConfigError: seeds or mask of another length or type.
             SimError: a device action before was none.
         """
         options = read_options(options, ("episode", "reset_mask"))

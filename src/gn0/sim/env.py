@@ -201,7 +201,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
 
         Raises:
             EpisodeError: no such episode, or it does not fit its scene.
-            ConfigError: no such option, or the seed is no whole number.
+            ConfigError: no such option, or the seed is not a whole number.
         """
         options = read_options(options, ("episode",))
         if seed is not None:

@@ -100,8 +100,8 @@ def open_simulator(
         person_radius: of people's discs [m].
 
     Raises:
-        ConfigError: unknown preset, backend, sensor or map mode, a map in mode none, no renderer,
-            or max_steps is no whole number of at least 1.
+        ConfigError: unknown preset, backend, sensor or map mode, a map in mode none, a renderer
+            that cannot draw, or max_steps is not a whole number of at least 1.
         SceneError: nothing is walkable for this agent.
         StorageError, FormatError: the scene folder is missing or broken.
     """

@@ -126,7 +126,7 @@ class Simulator:
     Raises:
         SimError: a sensor lacks its renderer or picture, the map was inflated for another
             radius.
-        ConfigError: max_steps is no whole number of at least 1.
+        ConfigError: max_steps is not a whole number of at least 1.
         SceneError: ego maps are to be painted by categories, and nothing is labelled.
     """
 

@@ -263,6 +263,27 @@ def test_a_goal_run_that_shows_people_of_a_bank_says_that_it_needs_it(
     assert run_suite(nobody, policy, tmp_path / "nobody", **options).ok
 
 
+def test_a_run_whose_report_shows_people_of_a_bank_says_before_it_starts_that_it_needs_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The oracle sees no pictures; those of the report's clips are made when all is played."""
+    crossed = people_samples.crossed_episode()
+    suite = people_samples.save_some(tmp_path / "suite", crossed)
+    command = ["bench", "run", str(suite.folder), "--policy", "oracle"]
+    run = ["--out", str(tmp_path / "run")]
+    assert main([*command, "--videos", "1", *run]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "'p0001' is of a bank of people, and none was given" in said
+    assert "--bank" in said and "--no-report" in said
+    assert not list((tmp_path / "run").glob("*.json*"))  # so the same with --bank is no other run
+    for name, less in (("bare", ["--no-report"]), ("still", ["--videos", "0"])):
+        assert main([*command, *less, "--out", str(tmp_path / name)]) == 0
+    assert (tmp_path / "still" / "report.html").is_file()
+    bank = people_samples.save_bank(tmp_path / "bank")
+    assert main([*command, "--videos", "1", "--bank", str(bank), *run]) == 0
+    assert "<video" in (tmp_path / "run" / "report.html").read_text()
+
+
 def test_a_report_tells_of_people_who_are_built_and_of_frames(
     oracle: Path, small: Suite, tmp_path: Path
 ) -> None:

@@ -111,8 +111,9 @@ def run(args: Args) -> int:
     from gn0.bench.identity import digest_policy
     from gn0.bench.report import write_report
     from gn0.bench.results import count_notes
+    from gn0.bench.run_bank import check_clips
     from gn0.bench.run_folder import check_run_folder
-    from gn0.bench.runner import run_suite
+    from gn0.bench.runner import choose_episodes, run_suite
     from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.result_tables import print_summaries
     from gn0.plugins import import_plugins
@@ -132,6 +133,8 @@ def run(args: Args) -> int:
         suite = suite.with_profile(args.profile or suite.about.profile)
         suite = suite.with_map_mode(args.map_mode or suite.map_mode)
         suite = suite.with_track(read_track(args.track) or suite.track)
+        if args.videos and not args.no_report:  # not when all is played, and a bank is too late
+            check_clips(choose_episodes(suite, args.limit or None), args.bank or None)
         summary = run_suite(
             suite,
             args.policy,

@@ -43,7 +43,7 @@ from gn0.data.sample_table import (
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.step_people import StepPeople
 from gn0.data.verify import verify_dataset
-from gn0.errors import ConfigError, DataError, EpisodeError, FormatError
+from gn0.errors import ConfigError, DataError, EpisodeError, FormatError, StorageError
 from gn0.export.dataset_source import open_source
 from gn0.export.export_run import run_export
 from gn0.export.exporter import ExportSettings
@@ -565,6 +565,19 @@ def test_statistics_of_follow_missions_alone_speak_of_what_there_is(
     assert "1 different instruction, 4 different words" in page
     (scene,) = measure_dataset(open_dataset(tmp_path / "data"))[0].scenes
     assert scene.detour == 1.0  # to where the agent ends, not to where the person does
+
+
+def test_a_folder_that_is_no_bank_is_refused_also_where_nobody_is_of_one(tmp_path: Path) -> None:
+    suite = save_some(tmp_path / "suite", goal_episode("a-alone"))
+    (tmp_path / "empty").mkdir()
+    none = BuildSettings(pictures=PictureSettings(layout="none"))
+    for name, what in (("nosuch", "no such bank"), ("empty", "is not a bank of people")):
+        with pytest.raises(StorageError, match=what):
+            build_dataset(suite, tmp_path / "data", none, bank=tmp_path / name)
+    assert not (tmp_path / "data" / "dataset.json").exists()
+    bank = save_bank(tmp_path / "bank")
+    built = build_dataset(suite, tmp_path / "data", none, bank=bank)
+    assert built.bank is None  # nobody of it is there, so nothing of it is copied
 
 
 def test_files_of_another_day_are_read_as_before(data: Dataset) -> None:

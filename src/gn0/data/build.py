@@ -251,19 +251,21 @@ def _build(
 def find_bank(episodes: Sequence[Episode], bank: Path | str | None) -> AvatarBank | None:
     """The bank of the people whom episodes name; None where they name nobody.
 
+    A bank that is given is opened in any case, so that a wrong folder is said.
+
     Raises:
         EpisodeError: somebody is not in it, or is of another bank; or there is none.
         StorageError, FormatError: it cannot be read.
     """
-    named = [e for e in episodes if any(drawn_identity(p.identity) is None for p in e.people)]
-    found = None if bank is None or not named else AvatarBank(bank)
+    found = None if bank is None else AvatarBank(bank)
     if any(episode.people for episode in episodes):
         from gn0.people.cast import Cast  # bodies are needed only where there are people
 
         cast = Cast(found)
         for episode in episodes:
             cast.check(episode.people, f"episode {episode.id!r}")
-    return found
+    people = (person for episode in episodes for person in episode.people)
+    return found if any(drawn_identity(one.identity) is None for one in people) else None
 
 
 def describe_dataset(

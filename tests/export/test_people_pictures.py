@@ -14,13 +14,21 @@ from gn0.data.dataset import Dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.errors import DataError
 from gn0.export.dataset_source import episode_digest, open_source
-from gn0.export.export_run import run_export
+from gn0.export.export_run import remark_export, run_export
 from gn0.export.exporter import ExportSettings, dataset_exporter_names, get_dataset_exporter
 from gn0.export.trips import RGB, ExportSource, Trip
 from gn0.geometry import U8
+from gn0.missions.episode import AgentSpec
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
-from gn0_trials.people_samples import follow_episode, save_bank, save_peopled
+from gn0.suites.suite import save_suite
+from gn0_trials.people_samples import (
+    crossed_episode,
+    follow_episode,
+    save_bank,
+    save_flat,
+    save_peopled,
+)
 
 HOLD_PICTURES = [name for name in dataset_exporter_names() if get_dataset_exporter(name).pictures]
 TAKE_FOLLOWING = {"navid", "uninavid", "lerobot-v3"}
@@ -112,6 +120,30 @@ def _look_without(source: ExportSource, trip: Trip, camera: str) -> list[U8]:
     trip = dataclasses.replace(trip, episode=alone)
     seen = source.eyes.look(trip, trip.poses, find_preset(camera), RGB)
     return [np.asarray(frame.rgb) for frame in seen]
+
+
+def test_navdp_s_advice_for_steps_among_people_can_be_taken(
+    dataset: Dataset, bank: Path, tmp_path: Path
+) -> None:
+    """The advised spacing is none that people refuse, and data of the advised body is not cut."""
+    settings = ExportSettings(**HERE)  # type: ignore[arg-type]
+    run_export(open_source(dataset.folder), "navdp", tmp_path / "long", settings)
+    (told,) = remark_export(tmp_path / "long")
+    assert "steps of 1.00 m" in told and "forward_step of 0.0625 m" in told
+    assert "without people" in told
+    close = msgspec.structs.replace(settings, spacing=0.0625)
+    done = run_export(open_source(dataset.folder), "navdp", tmp_path / "close", close)
+    assert any("--spacing 0" in why and "forward_step" in why for why in done.skipped)
+    body = AgentSpec(radius=0.25, step_seconds=0.2, forward_step=0.0625)
+    short = msgspec.structs.replace(crossed_episode(), agent=body)
+    suite = save_suite(
+        tmp_path / "suite", [save_flat(tmp_path / "scene")], [short], name="short", max_steps=60,
+        camera="tiny_128", agent=body,
+    )  # fmt: skip
+    none = BuildSettings(pictures=PictureSettings(layout="none"))
+    built = build_dataset(suite, tmp_path / "data", none, bank=bank)
+    done = run_export(open_source(built.folder), "navdp", tmp_path / "short", settings)
+    assert done.written == 1 and remark_export(tmp_path / "short") == []
 
 
 def test_people_are_known_at_steps_alone(source: ExportSource) -> None:

@@ -24,6 +24,7 @@ from scipy.ndimage import binary_dilation
 from gn0.data.lerobot_schema import count_columns
 from gn0.errors import FormatError, Gn0Error
 from gn0.export.cameras import camera_height, from_mounted, intrinsics, mount, mounted_poses
+from gn0.export.export_file import load_export_file
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_lines
 from gn0.export.lerobot21 import (
@@ -55,10 +56,12 @@ FPS = 30
 DEPTH_UNIT = 1e-4  # m
 LOOK_AHEAD = 0.5  # m
 STRIDE, FARTHEST_STEP = 4, 0.25  # frames, m: labels are four times a step and clipped to 1
+FARTHEST_FRAME = FARTHEST_STEP / STRIDE  # m
 FEWEST = 4  # frames: its loader draws a start, a memory and a target from them
 BETWEEN_STEPS = (
     "people are in its pictures, and between the steps of a walk nobody knows where: give "
-    "--spacing 0, which keeps the steps"
+    "--spacing 0, which keeps the steps; NavDP's decoder cuts those of a body whose forward_step "
+    f"is more than {FARTHEST_FRAME} m"
 )
 OBSTACLE, FLOOR = (0, 0, 128), (200, 200, 200)  # the loader wants (0, 0, 0.5) ± 0.05
 HEIGHT_OF_OBSTACLE = 0.5  # m
@@ -198,9 +201,15 @@ class ExporterNavDp(OwnPoses):
                     longest = max(longest, float(steps.max(initial=0.0)))
         if longest <= FARTHEST_STEP + 1e-6:
             return []
+        advice = f"--spacing {FARTHEST_FRAME} or less"
+        if _keeps_steps(folder):  # with people there is no other spacing
+            advice += (
+                " for walks without people. Those with people keep the steps of their body: only "
+                f"data of a body with a forward_step of {FARTHEST_FRAME} m or less is not cut"
+            )
         return [
             f"steps of {longest:.2f} m in {STRIDE} frames; NavDP's decoder says at most "
-            f"{FARTHEST_STEP} m and cuts the rest: --spacing {FARTHEST_STEP / STRIDE} or less"
+            f"{FARTHEST_STEP} m and cuts the rest: {advice}"
         ]
 
     def load(self, folder: Path) -> list[Recovered]:
@@ -230,6 +239,13 @@ class ExporterNavDp(OwnPoses):
                 )
             )
         return found
+
+
+def _keeps_steps(folder: Path) -> bool:
+    """Whether an export's frames are the steps of its walks."""
+    with contextlib.suppress(Gn0Error):
+        return load_export_file(folder).settings.spacing == 0
+    return False
 
 
 def trace_way(poses: F64, spacing: float) -> F64:

@@ -82,6 +82,33 @@ def test_people_of_a_spec_who_would_be_in_no_mission_are_refused(tmp_path: Path)
     assert read_settings(args(missions="follow", people=0)).missions == ("follow",)
 
 
+@pytest.mark.parametrize(
+    ("people", "where"),
+    [
+        ("{bank: []}", "people.bank"),
+        ("{bank: ['../../etc/x']}", "people.bank"),
+        ("{bank: [p0001, p0001]}", "people.bank"),
+        ("{bank_hash: zz}", "people.bank_hash"),
+    ],
+)
+def test_a_bank_of_a_spec_that_names_nobody_is_refused(
+    tmp_path: Path, people: str, where: str
+) -> None:
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(f"people: {people}\n")
+    with pytest.raises(ConfigError) as caught:
+        read_settings(args(spec=str(spec)))
+    assert caught.value.where == where and caught.value.remedy
+
+
+def test_settings_of_a_manifest_with_drawn_people_are_a_spec(tmp_path: Path) -> None:
+    spec = tmp_path / "spec.yaml"
+    spec.write_text("people: {count: 3}\n")
+    settings = read_settings(args(spec=str(spec)))
+    spec.write_bytes(msgspec.json.encode(settings))  # as request.settings stand there
+    assert read_settings(args(spec=str(spec))) == settings
+
+
 @pytest.mark.parametrize("more", [[], ["--overwrite"]])
 def test_an_output_folder_that_is_a_file_is_named(home: Path, tmp_path: Path, capsys, more) -> None:
     out = tmp_path / "note.txt"

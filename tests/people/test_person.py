@@ -88,12 +88,23 @@ def test_seats_and_clips_are_those_that_pictures_have() -> None:
         ({"from_start": 0.2}, "people.from_start"),
         ({"speeds": (0.1, 1.0)}, "people.speeds"),
         ({"stops": 9}, "people.stops"),
+        ({"bank": ("../../etc/x",)}, "people.bank"),
+        ({"bank": ("",)}, "people.bank"),
+        ({"bank": ("p0001", "p0000", "p0001")}, "people.bank"),
+        ({"bank": ("p0001",), "bank_hash": "zz"}, "people.bank_hash"),
+        ({"bank_hash": "0123456789abcdef" * 2}, "people.bank_hash"),
     ],
 )
 def test_settings_without_meaning_are_named_by_their_field(bad: dict, where: str) -> None:
     with pytest.raises(ConfigError) as caught:
         PeopleSettings(**bad)
     assert caught.value.where == where and caught.value.remedy
+
+
+def test_people_of_a_bank_are_named_with_its_hash_or_without() -> None:
+    names = ("p0000", "my-robot_2", "drawn:0:7")
+    assert PeopleSettings(bank=names).bank == names
+    assert PeopleSettings(bank=names, bank_hash="0123456789abcdef" * 2).bank_hash
 
 
 def test_people_who_cannot_be_together() -> None:

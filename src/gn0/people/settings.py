@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 from gn0.config import Config
-from gn0.errors import ConfigError
-from gn0.people.person import PEOPLE_MOST
+from gn0.errors import ConfigError, brief
+from gn0.people.person import PEOPLE_MOST, drawn_identity
+
+_NAME = re.compile(r"[\w-]{1,60}")  # of a person of a bank, as its file is called
+_HASH = re.compile(r"[0-9a-f]{32}")
 
 
 class PeopleSettings(Config, frozen=True):
@@ -60,3 +65,27 @@ class PeopleSettings(Config, frozen=True):
             )
         if not 0 <= self.stops <= 8:
             raise ConfigError(f"{self.stops} stops", where="people.stops", remedy="give 0 to 8")
+        self._check_bank()
+
+    def _check_bank(self) -> None:
+        for number, name in enumerate(self.bank):
+            if not _NAME.fullmatch(name) and drawn_identity(name) is None:
+                raise ConfigError(
+                    f"{brief(name)} names no person of a bank", where="people.bank",
+                    remedy="give names that stand in bank.json, as p0007",
+                )  # fmt: skip
+            if name in self.bank[:number]:
+                raise ConfigError(
+                    f"{brief(name)} is named twice", where="people.bank",
+                    remedy="name each person once",
+                )  # fmt: skip
+        if self.bank_hash and not _HASH.fullmatch(self.bank_hash):
+            raise ConfigError(
+                f"{brief(self.bank_hash)} is no hash of a bank", where="people.bank_hash",
+                remedy="give the hash that stands in bank.json, or leave it out",
+            )  # fmt: skip
+        if self.bank_hash and not self.bank:
+            raise ConfigError(
+                "is the hash of a bank of which nobody is named", where="people.bank_hash",
+                remedy="name people in people.bank, or leave it out",
+            )  # fmt: skip

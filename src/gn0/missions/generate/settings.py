@@ -143,6 +143,13 @@ def load_settings(path: Path | str) -> MissionSettings:
         ConfigError: the settings contradict themselves.
     """
     plain = load_yaml(path, remedy="see docs: missions")
+    crowd = plain.get("people") if isinstance(plain, dict) else None
+    # settings of a manifest say of drawn people that bank and bank_hash are empty
+    if isinstance(crowd, dict) and crowd.get("bank") == [] and "bank_hash" not in crowd:
+        raise ConfigError(
+            "names nobody", where="people.bank",
+            remedy="name people of a bank, or leave it out to have people drawn",
+        )  # fmt: skip
     try:
         return msgspec.convert({} if plain is None else plain, MissionSettings)
     except msgspec.ValidationError as error:

@@ -20,7 +20,12 @@ from gn0.avatars.bank import digest_avatar
 from gn0.cli.main import main
 from gn0.data import part as part_module
 from gn0.data import part_pictures
-from gn0.data.balance import BalanceSettings, balance_dataset, load_selection
+from gn0.data.balance import (
+    BalanceSettings,
+    balance_dataset,
+    describe_balance,
+    load_selection,
+)
 from gn0.data.build import build_dataset, build_shard
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.dataset_stats import measure_dataset
@@ -567,6 +572,49 @@ def test_statistics_of_follow_missions_alone_speak_of_what_there_is(
     assert scene.detour == 1.0  # to where the agent ends, not to where the person does
 
 
+@pytest.mark.parametrize("method", ["weights", "selection"])
+def test_who_stands_still_while_it_follows_is_not_balanced_as_one_who_has_arrived(
+    data: Dataset, copy_of: Callable[[Dataset], Path], method: str
+) -> None:
+    """Only STOPs at the end of a way are the wanted share; those of following keep theirs."""
+    folder = copy_of(data)
+    asked = {"forward": 85.0, "left": 2.5, "right": 2.5, "stop": 10.0}
+    about = balance_dataset(
+        open_dataset(folder), BalanceSettings(method=method, tolerance=2.5, **asked)
+    )
+    table = load_selection(folder)
+    rows = {name: data.rows(name) for name in data.sampled}
+    kinds = np.array(
+        [
+            (bool(rows[name].person), int(rows[name].actions[step, 0]))
+            for name, step in zip(
+                table["episode_id"].to_pylist(), table["step"].to_pylist(), strict=True
+            )
+        ]
+    )
+    weights = table["weight"].to_numpy().astype(np.float64)
+    stands = (kinds == (1, 0)).all(1)
+    ends = (kinds == (0, 0)).all(1)
+    near = 1e-6 if method == "weights" else 0.025
+    had = REFERENCE.count("0") / data.about.rows
+    assert weights[stands].sum() / weights.sum() == pytest.approx(had, abs=near)
+    wanted = 0.1 * (1 - had)
+    assert weights[ends].sum() / weights.sum() == pytest.approx(wanted, abs=near)
+    assert about.after["STOP"].percent == pytest.approx(100 * (had + wanted), abs=200 * near + 1e-4)
+    assert any("stands still" in note for note in about.notes)
+    assert "stands still" in describe_balance(about)
+
+
+def test_data_of_following_alone_is_balanced_without_an_end(bank: Path, tmp_path: Path) -> None:
+    none = BuildSettings(pictures=PictureSettings(layout="none"))
+    suite = save_some(tmp_path / "suite", follow_episode())
+    built = build_dataset(suite, tmp_path / "data", none, bank=bank)
+    about = balance_dataset(built)
+    assert about.after["STOP"] == about.before["STOP"] and about.weights["STOP"] == 1.0
+    moves = {name: about.after[name].count for name in ("FORWARD", "LEFT", "RIGHT")}
+    assert moves["FORWARD"] / sum(moves.values()) == pytest.approx(0.67 / 0.97, abs=1e-3)
+
+
 def test_a_folder_that_is_no_bank_is_refused_also_where_nobody_is_of_one(tmp_path: Path) -> None:
     suite = save_some(tmp_path / "suite", goal_episode("a-alone"))
     (tmp_path / "empty").mkdir()
@@ -599,8 +647,10 @@ def test_tasks_are_mixed_as_asked_each_with_the_papers_actions(
     shares = {"forward": 90.0, "left": 0.0, "right": 0.0, "stop": 10.0}
     about = balance_dataset(open_dataset(folder), BalanceSettings(tracking=25.0, **shares))
     assert about.tasks["TRACKING"].percent == pytest.approx(25.0, abs=1e-3)
+    standing = REFERENCE.count("0") / len(REFERENCE)  # ends nothing, and keeps its share
+    forward = 75.0 * 0.9 + 25.0 * (1.0 - standing)
     assert {name: share.percent for name, share in about.after.items()} == pytest.approx(
-        {"FORWARD": 90.0, "LEFT": 0.0, "RIGHT": 0.0, "STOP": 10.0}, abs=1e-3
+        {"FORWARD": forward, "LEFT": 0.0, "RIGHT": 0.0, "STOP": 100.0 - forward}, abs=1e-3
     )
     table = load_selection(folder)
     ids, weights = np.array(table["episode_id"].to_pylist()), table["weight"].to_numpy()

@@ -29,7 +29,7 @@ class Args(Config, frozen=True):
         forward: wanted share of FORWARD [percent].
         left: wanted share of LEFT [percent].
         right: wanted share of RIGHT [percent].
-        stop: wanted share of STOP [percent].
+        stop: wanted share of STOP [percent]; those of following stand still and keep theirs.
         tolerance: how far off a share may be [percentage points]; a selection keeps more with it.
         seed: seed of the choice of samples that are left out.
         tracking: wanted share of TRACKING samples [percent], by weights; by default as many as

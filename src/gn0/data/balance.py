@@ -4,6 +4,10 @@ Walks are mostly straight, so a model that learns them as they are learns to go 
 (appendix, action balancing) trains on 67 % FORWARD, 15 % LEFT, 15 % RIGHT and 3 % STOP. A sample
 counts by the first action of its label: what is to be done there.
 
+STOP in a sample of following stands still and ends nothing. It is what a follower says that is
+quicker than the person, so such samples keep the share that they have, and the wanted shares are
+those of the others.
+
 Two ways lead there; neither touches the samples:
 
     weights: every sample is kept, and drawn with the weight target share over found share of its
@@ -44,6 +48,8 @@ Method = Literal["weights", "selection"]
 BALANCE_FILE, SELECTION_FILE = "balance.json", "selection.parquet"
 BALANCE_LAYOUT = 1
 NAMES = tuple(action.name for action in Action)  # STOP, FORWARD, LEFT, RIGHT: by code
+STANDS = len(NAMES)  # class of a STOP that stands still
+CLASSES = (*NAMES, "standing still")
 TASKS = ("PLANNING", "TRACKING")
 PAPER = {NAMES[action]: share for action, share in ACTION_SHARES.items()}  # percent
 REPEATS = 10.0  # a weight above this repeats its samples so often that it is said
@@ -123,7 +129,7 @@ class BalanceFile(Config, frozen=True):
         effective: how many independent samples the weights are worth (Kish).
         before: by action, as the samples are.
         after: by action, as they are drawn.
-        weights: weights of each action's samples; 1 or 0 a sample for a selection.
+        weights: mean weight of each action's samples; 1 or 0 a sample for a selection.
         notes: what a reader should know, in words.
         labels: digest of the labels that were balanced, part by part.
         selection: digest of `selection.parquet`'s columns.
@@ -164,7 +170,9 @@ def balance_dataset(
     classes, tracking, columns = _read_samples(dataset, progress)
     tasks: dict[str, ActionShare] | msgspec.UnsetType = msgspec.UNSET
     counts = np.bincount(classes, minlength=len(NAMES))
-    notes: list[str] = []
+    apart, wanted = stand_apart(classes, tracking, target)
+    of_each = np.bincount(apart, minlength=len(wanted))
+    notes = _note_standing(apart, tracking)
     if asked.tracking is not msgspec.UNSET:
         chosen = np.arange(len(classes))
         weights = plan_tasks(classes, tracking, target, asked.tracking / 100.0)
@@ -174,16 +182,19 @@ def balance_dataset(
         drawn = [float(weights[tracking == task].sum()) for task in (False, True)]
         tasks = _shares(np.array(drawn), TASKS)
     elif asked.method == "weights":
-        per_class = plan_weights(counts, target)
-        chosen, weights = np.arange(len(classes)), per_class[classes].astype(np.float32)
+        per_class = plan_weights(of_each, wanted)
+        chosen, weights = np.arange(len(classes)), per_class[apart].astype(np.float32)
         after = np.bincount(classes, weights=weights.astype(np.float64), minlength=len(NAMES))
-        notes += _note_repeats(counts, per_class)
+        notes += _note_repeats(of_each, per_class)
+        if len(per_class) > STANDS:  # a STOP is of two classes
+            per_class = np.divide(after, counts, out=np.zeros(len(NAMES)), where=counts > 0)
     else:
-        kept = plan_selection(counts, target, asked.tolerance / 100.0)
-        chosen = _choose(classes, kept, asked.seed)
-        weights, after = np.ones(len(chosen), np.float32), kept.astype(np.float64)
-        per_class = np.divide(kept, counts, out=np.zeros(len(NAMES)), where=counts > 0)
-        notes += _note_scarce(counts, kept, target)
+        kept = plan_selection(of_each, wanted, asked.tolerance / 100.0)
+        chosen = _choose(apart, kept, asked.seed)
+        weights = np.ones(len(chosen), np.float32)
+        after = np.bincount(classes[chosen], minlength=len(NAMES)).astype(np.float64)
+        per_class = np.divide(after, counts, out=np.zeros(len(NAMES)), where=counts > 0)
+        notes += _note_scarce(of_each, kept, wanted)
     table = _table(columns, chosen, weights)
     about = BalanceFile(
         layout=BALANCE_LAYOUT,
@@ -205,6 +216,26 @@ def balance_dataset(
     )
     write_json(dataset.folder / BALANCE_FILE, msgspec.to_builtins(about))
     return about
+
+
+def stand_apart(
+    classes: NDArray[np.integer], tracking: NDArray[np.bool_], target: F64
+) -> tuple[NDArray[np.integer], F64]:
+    """Classes [N] and wanted shares with the STOPs of following as a class of their own.
+
+    It keeps the share that it has, and the others have what is wanted of the rest. Where none of
+    them says STOP, none is wanted: nothing ends where everybody follows. Both are given back as
+    they are where nobody stands still.
+    """
+    stands = tracking & (classes == Action.STOP)
+    if not stands.any():
+        return classes, target
+    apart = np.where(stands, STANDS, classes)
+    rest = target.copy()
+    if rest[Action.STOP] < 1.0 and not (apart == Action.STOP).any():
+        rest[Action.STOP] = 0.0
+    share = float(stands.mean())
+    return apart, np.append(rest * ((1.0 - share) / rest.sum()), share)
 
 
 def plan_weights(counts: NDArray[np.integer], target: F64) -> F64:
@@ -245,8 +276,9 @@ def plan_tasks(
                 f"{part:.1%} of the samples should be {name} ones, and none is",
                 remedy="give another --tracking, or build a dataset of both kinds of missions",
             )
-        per_class = plan_weights(np.bincount(classes[mine], minlength=len(NAMES)), target)
-        weights[mine] = per_class[classes[mine]] * (part * len(classes) / int(mine.sum()))
+        apart, wanted = stand_apart(classes[mine], tracking[mine], target)
+        per_class = plan_weights(np.bincount(apart, minlength=len(wanted)), wanted)
+        weights[mine] = per_class[apart] * (part * len(classes) / int(mine.sum()))
     return weights.astype(np.float32)
 
 
@@ -269,7 +301,7 @@ def plan_selection(counts: NDArray[np.integer], target: F64, tolerance: float) -
         high = np.minimum(np.floor(most * size + 1e-9).astype(np.int64), counts)
         if (low <= high).all() and low.sum() <= size <= high.sum():
             return _fill(low, high, target * size, size)
-    shares = ", ".join(f"{NAMES[i]} {counts[i]}" for i in range(len(counts)))
+    shares = ", ".join(f"{CLASSES[i]} {counts[i]}" for i in range(len(counts)))
     raise DataError(
         f"no selection of these samples has the wanted shares within {tolerance:.2%}: {shares}",
         remedy="build more episodes, allow more --tolerance, or use --method weights",
@@ -305,17 +337,17 @@ def _check_classes(counts: NDArray[np.integer], target: F64, tolerance: float) -
     for code, (count, share) in enumerate(zip(counts, target, strict=True)):
         if count == 0 and share - tolerance > 0:
             raise DataError(
-                f"{share:.1%} of the samples should say {NAMES[code]}, and none does",
-                remedy=f"give --{NAMES[code].lower()} 0, or samples that say it",
+                f"{share:.1%} of the samples should say {CLASSES[code]}, and none does",
+                remedy=f"give --{CLASSES[code].lower()} 0, or samples that say it",
             )
 
 
-def _choose(classes: NDArray[np.int8], kept: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
+def _choose(classes: NDArray[np.integer], kept: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
     """Rows to keep, in order: of each class so many, drawn by a stream of its own."""
     rows = []
     for code, count in enumerate(kept.tolist()):
         own = np.flatnonzero(classes == code)
-        rng = random_stream(seed, "balance", NAMES[code])
+        rng = random_stream(seed, "balance", CLASSES[code])
         rows.append(own[rng.permutation(len(own))[:count]])
     return np.sort(np.concatenate(rows))
 
@@ -392,10 +424,20 @@ def _shares(counts: NDArray[np.floating], names: Sequence[str] = NAMES) -> dict[
     }
 
 
+def _note_standing(apart: NDArray[np.integer], tracking: NDArray[np.bool_]) -> list[str]:
+    stands = int((apart == STANDS).sum())
+    if not stands:
+        return []
+    return [
+        f"{stands:,} of {int(tracking.sum()):,} samples of following say STOP, which stands still "
+        "and ends nothing: they keep their share, and the wanted ones are those of the others"
+    ]
+
+
 def _note_repeats(counts: NDArray[np.integer], weights: F64) -> list[str]:
     return [
-        f"{NAMES[i]} is rare: each of its {int(counts[i])} samples is drawn {weights[i]:.1f} times "
-        "as often as on average; more episodes would say it with more variety"
+        f"{CLASSES[i]} is rare: each of its {int(counts[i])} samples is drawn {weights[i]:.1f} "
+        "times as often as on average; more episodes would say it with more variety"
         for i in range(len(counts))
         if weights[i] > REPEATS
     ]
@@ -408,7 +450,7 @@ def _note_scarce(counts: NDArray[np.integer], kept: NDArray[np.int64], target: F
     if left_out < 0.05:
         return []
     return [
-        f"{NAMES[scarce]} is scarce ({int(counts[scarce])} samples): for its share to fit "
+        f"{CLASSES[scarce]} is scarce ({int(counts[scarce])} samples): for its share to fit "
         f"{left_out:.0%} of all samples are left out; --method weights keeps them"
     ]
 

@@ -81,7 +81,7 @@ class PeopleSettings(Config, frozen=True):
                 )  # fmt: skip
         if self.bank_hash and not _HASH.fullmatch(self.bank_hash):
             raise ConfigError(
-                f"{brief(self.bank_hash)} is no hash of a bank", where="people.bank_hash",
+                f"{brief(self.bank_hash)} is not the hash of a bank", where="people.bank_hash",
                 remedy="give the hash that stands in bank.json, or leave it out",
             )  # fmt: skip
         if self.bank_hash and not self.bank:

@@ -104,6 +104,7 @@ def test_a_run_with_failed_episodes_is_no_success(
         "gn0.bench.runner.run_suite", lambda *a, **n: SimpleNamespace(failed=failed)
     )
     monkeypatch.setattr("gn0.cli.result_tables.print_summaries", lambda summaries: None)
+    monkeypatch.setattr("gn0.bench.results.count_notes", lambda run: {})
     assert main(["bench", "run", "SUITE", "--out", "OUT", "--no-report"]) == code
 
 

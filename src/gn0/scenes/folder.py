@@ -219,14 +219,15 @@ def load_scene_file(folder: Path) -> SceneFile:
             where=folder,
             remedy="make one with `gn0 scene import` or `gn0 scene generate`",
         )
-    path = safe_join(folder, SCENE_FILE)
+    path = folder / SCENE_FILE
+    if path.is_symlink() or path.exists():  # else what lies in the folder is nobody's fault
+        check_contained(folder)
     if not path.is_file():
         raise StorageError(
             "scene.json is missing: this is not a GN0 scene folder, or only part of one",
             where=folder,
             remedy="run `gn0 scene import` on it, or restore the file",
         )
-    check_contained(folder)  # of a scene alone: what lies in any other folder is nobody's fault
     about = load_json(path, SceneFile)
     if about.layout != LAYOUT_VERSION:
         raise FormatError(

@@ -45,3 +45,11 @@ def test_a_file_stays_in_one_process_and_documents_go_one_by_one(tmp_path: Path)
     assert [len(workers) for workers in found.values()] == [6, 6, 6]
     assert len({*found["first"]}) == len({*found["second"]}) == 1
     assert len({*found["every_command_block_runs"]}) == 2
+
+
+def test_the_makefile_asks_for_it_wherever_tests_run_in_several_processes() -> None:
+    makefile = Path(__file__).parent.parent / "Makefile"
+    if not makefile.exists():
+        pytest.skip("no checkout: there is no Makefile")
+    lines = [line for line in makefile.read_text().splitlines() if "-n $(TEST_WORKERS)" in line]
+    assert lines and all("--dist loadfile" in line for line in lines)

@@ -118,22 +118,22 @@ def compare_pairs(pairs: Sequence[Pair], *, seed: int = 0, unit: Unit = "auto") 
     rows = []
     for following, measures in ((False, (*METRICS, TOUCHED)), (True, FOLLOW_MEANS)):
         some = [pair for pair in pairs if pair.following is following]
-        rows += [_compare(some, info, seed, unit) for info in measures if _known(some, info)]
+        for info in measures:
+            known = [(pair, means) for pair in some if (means := pair.means(info)) is not None]
+            if known:
+                rows.append(_compare(info, known, seed, unit))
     return rows
 
 
-def _known(pairs: Sequence[Pair], info: MetricInfo) -> list[Pair]:
-    """Those of which both sides have a value of a metric."""
-    return [pair for pair in pairs if pair.means(info) is not None]
-
-
-def _compare(pairs: Sequence[Pair], info: MetricInfo, seed: int, unit: Unit) -> Comparison:
-    pairs = _known(pairs, info)
+def _compare(
+    info: MetricInfo, known: Sequence[tuple[Pair, tuple[float, float]]], seed: int, unit: Unit
+) -> Comparison:
+    """One metric, of the pairs in which both sides have it, with its means of each pair."""
+    pairs = [pair for pair, _ in known]
     names = [pair.scene for pair in pairs]
     whole = unit == "scene" or (unit == "auto" and len(set(names)) >= FEW_SCENES)
     scenes = names if whole and len(set(names)) >= 2 else None
-    means = np.array([pair.means(info) for pair in pairs], np.float64)
-    x, y = means[:, 0], means[:, 1]
+    x, y = np.array([means for _, means in known]).T
     low, high = paired_interval(x - y, scenes, seed=seed, name=info.key)
     chance = sign_flip_chance(x - y, scenes, seed=seed, name=info.key)
     return Comparison(

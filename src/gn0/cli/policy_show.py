@@ -31,6 +31,8 @@ EXAMPLES = """  gn0 policy show bae out/suite --out decision.png
   gn0 policy show out/sft/policy out/suite --episode flat_0003 --steps all --out walk.png
   gn0 policy show out/sft/policy out/suite --from out/bae --pick 3 --seed 0 --out cases.png"""
 
+PICK, SEED = 3, 0  # episodes of a run of each kind, and how they are drawn
+
 
 class Args(Config, frozen=True):
     """What to draw and where to.
@@ -62,8 +64,8 @@ class Args(Config, frozen=True):
     pose: str = ""
     steps: Literal["one", "all"] = "one"
     from_: Annotated[str, tyro.conf.arg(name="from")] = ""
-    pick: Annotated[int, msgspec.Meta(ge=1, le=20)] = 3
-    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
+    pick: Annotated[int, msgspec.Meta(ge=1, le=20)] = PICK
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = SEED
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0, le=6)] = 0
     computed_by: Literal["auto", "torch", "numpy"] = "auto"
@@ -121,7 +123,7 @@ def _check_together(args: Args) -> None:
             where="gn0 policy show",
             remedy="give one of them",
         )
-    if not args.from_ and (args.pick, args.seed) != (3, 0):
+    if not args.from_ and (args.pick, args.seed) != (PICK, SEED):
         raise ConfigError(
             "--pick and --seed draw episodes of a run",
             where="gn0 policy show",

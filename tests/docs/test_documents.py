@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -35,14 +37,28 @@ def blocks_of(document: Path) -> list[tuple[str, str]]:
     return blocks
 
 
+@pytest.fixture(scope="session")
+def commands(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The path of commands of a reader, with a `gn0` that generates no scene twice."""
+    made = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        made = made.parent  # of all who run documents side by side
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    if os.name != "posix" or not (real := shutil.which("gn0", path=path)):
+        return path
+    once = [sys.executable, "-IS", str(Path(__file__).with_name("generate_once.py"))]
+    command = shlex.join([*once, real, str(made / "generated_once")])
+    gn0 = tmp_path_factory.mktemp("bin") / "gn0"
+    gn0.write_text(f'#!/bin/sh\nexec {command} "$@"\n')
+    gn0.chmod(0o700)
+    return f"{gn0.parent}{os.pathsep}{path}"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("document", [d for d in DOCUMENTS if blocks_of(d)], ids=lambda d: d.name)
-def test_every_command_block_runs(document: Path, tmp_path: Path) -> None:
+def test_every_command_block_runs(document: Path, tmp_path: Path, commands: str) -> None:
     """Blocks of one document run in order in one empty folder, as a reader would type them."""
-    env = {
-        **os.environ,
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-    }
+    env = {**os.environ, "PATH": commands}
     env.pop("GN0_DATA", None)  # a stranger has none
     for language, text in blocks_of(document):
         command = (
@@ -52,6 +68,35 @@ def test_every_command_block_runs(document: Path, tmp_path: Path) -> None:
             [*command, text], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=580
         )
         assert done.returncode == 0, f"{document.name}:\n{text}\n{done.stdout}\n{done.stderr}"
+
+
+def test_what_was_generated_is_laid_where_the_same_is_typed_again(tmp_path: Path) -> None:
+    """Once for each text of a command, and never in place of what lies there or of other verbs."""
+    real = tmp_path / "real"
+    real.write_text(
+        '#!/bin/sh\necho "$@" >> "$LOG"\necho made\nmkdir -p $5 && echo "$@" > $5/scene'
+    )
+    real.chmod(0o700)
+
+    def type_in(page: str, *typed: str) -> str:
+        (tmp_path / page).mkdir(exist_ok=True)
+        once = [sys.executable, "-IS", str(Path(__file__).with_name("generate_once.py"))]
+        done = subprocess.run(
+            [*once, str(real), str(tmp_path / "kept"), *typed],
+            cwd=tmp_path / page, env={**os.environ, "LOG": str(tmp_path / "log")},
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert (tmp_path / page / typed[4] / "scene").read_text() == f"{' '.join(typed)}\n"
+        return done.stdout
+
+    flat = ("scene", "generate", "--seed=3", "--out", "out/flat")
+    home = (*flat[:-1], "out/home")
+    for page, *typed in (("a", *flat), ("b", *flat), ("b", *home), ("b", *flat)):
+        assert type_in(page, *typed) == "made\n"
+    for page in ("a", "b"):
+        type_in(page, "bench", "suite", "--seed=3", "--out", "out/suite")
+    run = [line.rpartition("/")[2] for line in (tmp_path / "log").read_text().splitlines()]
+    assert run == ["flat", "home", "flat", "suite", "suite"]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: d.name)

@@ -32,7 +32,7 @@ from gn0.training.packing import pack_policy  # noqa: E402
 from gn0.training.pupil import build_pupil, load_pupil  # noqa: E402
 from gn0.training.runs.model_card import build_card  # noqa: E402
 from gn0.training.runs.run_folder import open_run  # noqa: E402
-from gn0.training.runs.stage_chain import read_stages  # noqa: E402
+from gn0.training.runs.stage_chain import list_stages, read_stages, write_stages  # noqa: E402
 from gn0.training.study.walks_table import build_walks_table  # noqa: E402
 
 SETTINGS = PolicySettings(
@@ -151,6 +151,22 @@ def test_a_policy_that_travels_alone_takes_its_stages_along(run: Path, tmp_path:
     assert 0 < after.index("…/offices; 20 samples in 5 steps") < after.index("…/flats; 20 samples")
     assert card.count("gn0 train sft …/suite --held-out ''") == 3 and "somebody" not in card
     assert [one.stage for one in read_stages(tmp_path / "shipped")] == ["sft"] * 3
+
+
+def test_a_run_tells_what_it_went_on_from_when_that_is_gone(run: Path, tmp_path: Path) -> None:
+    """What it began from stayed on another machine, or another policy lies there by now."""
+    start, third = tmp_path / "start", tmp_path / "third"
+    start.symlink_to(pack_policy(run, tmp_path / "packed").folder)
+    make_run(third, load_pupil(start), start=str(start), suites=["/home/somebody/houses"])
+    write_stages(third / "policy", list_stages(third))  # as the end of training does
+    start.unlink()
+    for there in (None, third / "policy"):
+        if there:
+            start.symlink_to(there)
+        shipped = pack_policy(third, tmp_path / "shipped", overwrite=True).folder
+        told = [one.told.split(";")[0] for one in read_stages(shipped)]
+        assert told == ["…/flats", "…/offices", "…/houses"]
+        assert "…/flats; 20 samples" in (shipped / "README.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize("damaged", ["[", '[{"stage": 1}]', '{"a": []}', "[" * 100_000])

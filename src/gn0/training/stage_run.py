@@ -194,8 +194,9 @@ class StageRun(StagePlace):
                 if has_adapters(pupil.model):
                     merge_adapters(pupil.model)
                 card = build_card(self.folder.folder, pupil.settings, results=found)
+                stages = list_stages(self.folder.folder)  # of what is replaced now
                 pupil.save(self.policy, card=card, shard_mb=size, overwrite=True)
-                write_stages(self.policy, list_stages(self.folder.folder))
+                write_stages(self.policy, stages)
         self.folder.finish(stage.counters.step, found)
         return self.policy
 

@@ -40,12 +40,16 @@ class StageTold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def list_stages(run: Path) -> list[StageTold]:
     """The stages of a run's policy, the first one first and the run's own last.
 
+    What its policy tells goes before what lies at the place that it began from: that may be on
+    another machine, or another policy by now.
+
     Raises:
         TrainingError: the folder holds no run.
         StorageError, FormatError: a file cannot be read.
     """
     record = read_run(run)
-    return [*list_before(record.recipe), _tell(record, run)]
+    told = read_stages(run / TRAINED)
+    return [*(told[:-1] if told else list_before(record.recipe)), _tell(record, run)]
 
 
 def list_before(recipe: Mapping[str, Any], most: int = _CHAIN) -> list[StageTold]:

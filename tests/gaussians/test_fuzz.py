@@ -10,15 +10,17 @@ from gn0.errors import FormatError
 from gn0.seeds import random_stream
 from gn0_trials.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
-# files that take milliseconds each: hundreds with every change, thousands in the slow run
+# files that take milliseconds each: hundreds with every change, thousands by the slow run
 DEAR = {"fbx": 300, "episodes-people": 300, "bank": 300, "glb-skin": 500, "avatar": 500}
 
 
-@pytest.mark.parametrize("count", [1_000, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tenths", [(0, 1), pytest.param((1, 10), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", sorted(TARGETS))
-def test_thousands_of_mutants(name, count):
-    count = min(count, DEAR.get(name, 1_000) * count // 1_000)
-    report = fuzz_reader(find_target(name), count=count, seed=2026)
+def test_thousands_of_mutants(name, tenths):
+    """The slow run goes on where the other ends."""
+    first, end = (DEAR.get(name, 1_000) * tenth for tenth in tenths)
+    count = end - first
+    report = fuzz_reader(find_target(name), count=count, seed=2026, first=first)
     assert [f"{f.index}: {f.what}" for f in report.faults] == []
     assert report.foreign == 0 and report.hangs == 0
     assert report.accepted + report.refused == count
@@ -31,6 +33,21 @@ def test_thousands_of_mutants(name, count):
 def test_a_million_mutants(name):
     report = fuzz_reader(find_target(name), count=1_000_000, seed=1)
     assert report.foreign == 0 and report.hangs == 0
+
+
+def test_a_campaign_may_begin_at_any_input():
+    """So one goes on where another ended."""
+
+    sound = {"a": b"sound", "b": b"text"}
+
+    def read(path: Path) -> None:
+        if path.read_bytes() not in sound.values():
+            raise IndexError("leak")
+
+    target = FuzzTarget("bad", read, sound)
+    whole = fuzz_reader(target, count=12, seed=7).faults
+    again = fuzz_reader(target, count=8, seed=7, first=4).faults
+    assert again and again == tuple(fault for fault in whole if fault.index >= 4)
 
 
 def test_inputs_depend_on_seed_and_index_alone():

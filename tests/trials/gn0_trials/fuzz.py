@@ -116,6 +116,7 @@ def fuzz_reader(
     *,
     count: int,
     seed: int = 0,
+    first: int = 0,
     work: Path | None = None,
     progress: Progress = no_progress,
 ) -> FuzzReport:
@@ -127,6 +128,7 @@ def fuzz_reader(
         target: the reader and its corpus.
         count: number of inputs.
         seed: root seed.
+        first: index of the first input.
         work: scratch folder; by default one in memory where the system has it.
         progress: told every thousand inputs.
     """
@@ -148,7 +150,7 @@ def fuzz_reader(
             target.check(target.read(path))
         reset_peak_memory()
         before = peak_memory_bytes()
-        for index in range(count):
+        for index in range(first, first + count):
             rng = random_stream(seed, "fuzz", target.name, index)
             pick = int(rng.integers(len(files)))
             data = target.finish(mutate(files[pick], rng, files, target.tokens), rng)
@@ -175,7 +177,7 @@ def fuzz_reader(
             if what and len(faults) < _KEPT_FAULTS:
                 faults.append(FuzzFault(index, names[pick], what, data))
             if index % 1000 == 999:
-                progress(f"fuzz {target.name}", index + 1, count)
+                progress(f"fuzz {target.name}", index + 1 - first, count)
         growth = max(0, peak_memory_bytes() - before)
     return FuzzReport(count, accepted, refused, foreign, hangs, slowest, growth, tuple(faults))
 

@@ -8,7 +8,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from gn0.cli import compile_ahead as ahead
 from gn0.cli.main import KERNELS, VERBS
 from gn0.kernels.kernel_list import find_kernel, list_calls, read_list
 from gn0.kernels.kernel_types import call_text, read_type
-from gn0_trials.kernel_record import JOBS, record_job
+from gn0_trials.kernel_record import JOBS, NEEDS, record_job
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("maps.inflate._squared_distances bool[2C]", "maps.regions._flood bool[2C]")
@@ -133,16 +134,23 @@ def test_each_call_names_a_kernel_and_its_arguments() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("job", JOBS)
-def test_the_list_has_all_that_a_job_calls(job: str, recorded: dict[str, list[str]]) -> None:
+def test_the_list_has_all_that_a_job_calls(job: str, record: Callable[[str], list[str]]) -> None:
     """If it has not: `python -m gn0_trials.kernel_record FOLDER` records it again."""
-    if job not in recorded:
+    if job == "train" and not find_spec("torch"):
         pytest.skip("training needs torch")
-    assert recorded[job] and set(recorded[job]) <= set(list_calls())
+    calls = record(job)
+    assert calls and set(calls) <= set(list_calls())
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """What each job calls; jobs find what those before them made."""
+def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], list[str]]:
+    """What a job calls, once it and those that make what it finds have run."""
     folder = tmp_path_factory.mktemp("recorded")
-    jobs = [job for job in JOBS if job != "train" or find_spec("torch")]
-    return {job: record_job(job, folder) for job in jobs}
+
+    @cache
+    def calls_of(job: str) -> list[str]:
+        if job in NEEDS:
+            calls_of(NEEDS[job])
+        return record_job(job, folder)
+
+    return calls_of

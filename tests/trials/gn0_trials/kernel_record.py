@@ -45,6 +45,10 @@ JOBS: dict[str, tuple[str, ...]] = {
         "--device host --overwrite --out trained",
     ),
 }
+NEEDS = {  # what jobs find in the folder is made by these
+    "missions": "scene", "walk": "missions", "follow": "missions", "data": "missions",
+    "train": "missions",
+}  # fmt: skip
 
 
 def record_job(job: str, folder: Path, environment: dict[str, str] | None = None) -> list[str]:

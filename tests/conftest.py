@@ -212,6 +212,12 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return heard
 
 
+def _place_of(scope: str) -> int:
+    """Place of a file, or of a test that goes by itself, among the dearest."""
+    places = (place for place, end in enumerate(DEAREST) if scope.endswith(end))
+    return next(places, len(DEAREST))
+
+
 @pytest.hookimpl(optionalhook=True)  # without xdist nobody asks
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Side by side: a file stays in one process, for its fixtures; documents go one by one.
@@ -224,9 +230,19 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from xdist.scheduler import LoadFileScheduling
 
     class Dealer(LoadFileScheduling):
+        _sorted = False
+
         def _split_scope(self, nodeid: str) -> str:
             alone = "::test_every_command_block_runs" in nodeid
             return nodeid if alone else super()._split_scope(nodeid)
+
+        def _assign_work_unit(self, node: Any) -> None:
+            if not self._sorted:  # xdist puts first what has the most tests
+                self._sorted = True
+                for scope in sorted(self.workqueue, key=_place_of, reverse=True):
+                    if _place_of(scope) < len(DEAREST):
+                        self.workqueue.move_to_end(scope, last=False)
+            super()._assign_work_unit(node)
 
     return Dealer(config, log)
 
@@ -242,6 +258,17 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
         return (yield)
     finally:
         del os.environ["GN0_DEVICE"]
+
+
+# what takes a minute and more of `make test-all` or `make bae`, the dearest first: begun late, one
+# would leave the other processes with nothing to do
+DEAREST = (
+    "e2e/test_runs.py", "gaussians/test_fuzz.py", "device/test_compile.py",
+    "data/test_crash_points.py", "procedural/test_refine_draft.py",
+    "capture/test_strange_captures.py", "cli/test_compile_ahead.py", "[training.md]",
+    "[gallery.md]", "[missions.md]", "[README.md]", "[data.md]", "[following.md]", "[avatars.md]",
+    "[people.md]",
+)  # fmt: skip
 
 
 class Clock:

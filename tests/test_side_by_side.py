@@ -15,6 +15,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 spec = spec_from_file_location("ours", {file!r})
 ours = module_from_spec(spec)
 spec.loader.exec_module(ours)
+ours.DEAREST = ("block_runs[3]",)
 pytest_xdist_make_scheduler = ours.pytest_xdist_make_scheduler
 """
 TEST = """
@@ -25,11 +26,13 @@ import pytest
 def test_{name}(number):
     time.sleep(0.1)
     with open({told!r}, "a") as told:
-        told.write("{name} " + os.environ["PYTEST_XDIST_WORKER"] + chr(10))
+        told.write(f"{name} {{number}} " + os.environ["PYTEST_XDIST_WORKER"] + chr(10))
 """
 
 
-def test_a_file_stays_in_one_process_and_documents_go_one_by_one(tmp_path: Path) -> None:
+def test_files_stay_whole_documents_go_one_by_one_and_the_dearest_first(
+    tmp_path: Path,
+) -> None:
     told = tmp_path / "told"
     ours = Path(__file__).with_name("conftest.py")
     (tmp_path / "conftest.py").write_text(OURS.format(file=str(ours)))
@@ -39,10 +42,14 @@ def test_a_file_stays_in_one_process_and_documents_go_one_by_one(tmp_path: Path)
     command = ["-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:cacheprovider", "."]
     subprocess.run([sys.executable, *command], cwd=tmp_path, check=True, timeout=120)
     found: dict[str, list[str]] = {}
+    order: list[str] = []
     for line in told.read_text().splitlines():
-        name, worker = line.split()
+        name, number, worker = line.split()
         found.setdefault(name, []).append(worker)
+        order.append(f"{name}[{number}]")
     assert [len(workers) for workers in found.values()] == [6, 6, 6]
+    assert "every_command_block_runs[3]" in order[:2]
+    assert "every_command_block_runs[0]" not in order[:8]
     assert len({*found["first"]}) == len({*found["second"]}) == 1
     assert len({*found["every_command_block_runs"]}) == 2
 

@@ -272,6 +272,24 @@ def test_the_line_says_rate_losses_and_time_left() -> None:
     assert [format_seconds(s) for s in (7, 725, 11045)] == ["0:07", "12:05", "3:04:05"]
 
 
+def test_time_left_is_that_of_the_limit_where_it_ends_before_the_steps_do() -> None:
+    """300 samples and 5 steps a second, 985 steps to come: 197 s, but for 30 of the plan's."""
+    said: list[str] = []
+    now = [0.0]
+    line = ProgressLine(said.append, seconds=0.0, clock=lambda: now[0])
+    for step, most in ((5, 100.0), (15, 30.0), (990, 30.0)):
+        now[0] = step / 5
+        line.update(TrainingReport(step, 1000, 60 * step, 1.0, {}, 0.5), most)
+    assert [one.split(" · ")[0] for one in said] == ["step 5", "step 15", "step 990/1,000"]
+    assert [one.split(" · ")[-1] for one in said] == ["1:40 left", "0:30 left", "0:02 left"]
+    line = ProgressLine(said.append, clock=lambda: now[0])
+    line.pulse(1, 20, 8, 30.0)
+    now[0] += 30.0
+    line.pulse(2, 20, 16, 60.0)
+    line.pulse(2, 20, 16, 60.0)
+    assert said[3:] == ["step 2 · 16 samples · 0.3/s · 1:00 left"]
+
+
 def test_a_run_of_slow_steps_says_where_it_is_between_its_reports() -> None:
     """A step of 15 s: nothing is said of the first, then where it is, after 20 s or more."""
     said: list[str] = []

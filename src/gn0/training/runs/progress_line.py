@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import monotonic
 
 PATIENCE = 20.0  # s without a word, after which a run says at least where it is
@@ -88,13 +88,14 @@ class ProgressLine:
         self._pulsed = self._said
         self._first: tuple[float, int, int] | None = None  # s, step and samples
 
-    def pulse(self, step: int, steps: int, samples: int) -> None:
+    def pulse(self, step: int, steps: int, samples: int, most: float | None = None) -> None:
         """Say where a run is that has said nothing for a while, between its reports.
 
         Args:
             step: that is done.
             steps: to be made.
             samples: learned from.
+            most: seconds after which the run ends whatever is still to be made; None: no limit.
         """
         now = self._clock()
         self._first = self._first or (now, step, samples)
@@ -103,11 +104,20 @@ class ProgressLine:
             return
         self._pulsed = now
         rate, each = (samples - before) / (now - began), (now - began) / (step - first)
-        left = format_seconds(each * (steps - step))
-        self._say(f"step {step:,}/{steps:,} · {samples:,} samples · {rate:,.1f}/s · {left} left")
+        left = each * (steps - step)
+        end = f"/{steps:,}"
+        if most is not None and most < left:
+            left, end = most, ""
+        when = format_seconds(left)
+        self._say(f"step {step:,}{end} · {samples:,} samples · {rate:,.1f}/s · {when} left")
 
-    def update(self, report: TrainingReport) -> None:
-        """Take a report; the last one of a run is always said."""
+    def update(self, report: TrainingReport, most: float | None = None) -> None:
+        """Take a report; the last one of a run is always said.
+
+        Args:
+            report: how the run stands.
+            most: as for `pulse`; steps that will not be made are not said then.
+        """
         now = self._clock()
         self._seen.append((now, report.step, report.samples))
         if now - self._said < self._seconds and report.step != report.steps:
@@ -119,4 +129,6 @@ class ProgressLine:
         left = None
         if report.steps and passed > 0 and report.step > step:
             left = (report.steps - report.step) * passed / (report.step - step)
+        if most is not None and (left is None or most < left):
+            left, report = most, replace(report, steps=0)
         self._say(format_report(report, rate, left))

@@ -260,6 +260,15 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
         del os.environ["GN0_DEVICE"]
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[object]:
+    """What only cycles hold goes with its file: 64 MB and more for each world of the emulation."""
+    done = yield
+    if "device" in item.path.name and (nextitem is None or nextitem.path != item.path):
+        gc.collect()
+    return done
+
+
 # what takes a minute and more of `make test-all` or `make bae`, the dearest first: begun late, one
 # would leave the other processes with nothing to do
 DEAREST = (

@@ -137,6 +137,8 @@ def test_the_rate_warms_stays_and_falls() -> None:
     assert open_end.share(10**6, recipe) == 1
     soon = open_end.end_soon(4000, recipe)
     assert (soon.tail, soon.end) == (4000, 5000)
+    assert run.seconds_left(799, 500.0, 10.0) == 100 and run.seconds_left(0, 700.0, 10.0) == 0
+    assert run.seconds_left(800, 500.0, 10.0) is None is run.seconds_left(0, 500.0, None)
     again = run.warm_again(500)
     assert again.share(500, recipe) == 0.01 and again.share(700, recipe) == 1
     cosine = Recipe(schedule="cosine", warm_steps=0)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -57,18 +59,33 @@ def _open(folder, **options):
     )  # fmt: skip
 
 
-def _run(pupil, stream, folder, samples: int, save: int = 2, *, said=None, examine=None) -> Stage:
+def _run(
+    pupil, stream, folder, samples: int, save: int = 2, *, said=None, examine=None, minutes=None
+) -> Stage:
     with _open(folder) as run:
         state = load_state(run.resumed) if run.resumed else None
         model = state.checkpoint.model.train() if state else pupil.model
         forward = pupil.forward_of(model)
         learner = Learner(LossForward(forward, pupil.slots, RECIPE), RECIPE)
-        plan = StagePlan(samples=samples, report=2, save=save)
+        plan = StagePlan(samples=samples, report=2, save=save, minutes=minutes)
         stage = Stage(Kept(pupil, model), learner, stream, pupil.maker, plan, {}, "c")
         if state is not None:
             stage.restore(state)
         stage.run(run, (said if said is not None else []).append, examine)
     return stage
+
+
+def test_a_run_with_a_limit_says_what_is_left_of_it(make_pupil, draw_states, tmp_path, monkeypatch):
+    """By a clock that goes on by a second each time that it is looked at."""
+    clock = SimpleNamespace(monotonic=map(float, itertools.count()).__next__)
+    monkeypatch.setattr("gn0.training.stage.time", clock)
+    said: list[str] = []
+    stage = _run(
+        make_pupil(), Counted(draw_states), tmp_path / "run", 10**9, 0, said=said, minutes=0.5
+    )
+    first, last = said[0], said[-1]
+    assert first.startswith("step 2 · 8 samples") and 0 < float(first[-7:-5]) < 30, first
+    assert first.endswith(" left") and last.startswith(f"step {stage.counters.step}/")
 
 
 def _weights(stage: Stage) -> list[torch.Tensor]:

@@ -246,7 +246,7 @@ class RecurrentStage:
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=step * self.batch, seconds=seconds, epoch=number
             )
-            left = self._seconds_left(seconds)
+            left = self.schedule.seconds_left(step, seconds, plan.minutes)
             line.pulse(step, end, self.counters.samples, left)
             self._shorten(seconds)
             over = step == self.schedule.end
@@ -272,13 +272,6 @@ class RecurrentStage:
                 guard.settle()
                 guard.last_good = self.save(folder)
         return {**found, "gpu_minutes": minutes}
-
-    def _seconds_left(self, seconds: float) -> float | None:
-        """Of the plan's time; None without a limit, and once it says at which step the run ends."""
-        minutes, tail = self.plan.minutes, self.schedule.tail
-        if minutes is None or tail is None or self.counters.step >= tail:
-            return None
-        return max(minutes * 60 - seconds, 0.0)
 
     def _shorten(self, seconds: float) -> None:
         """Let the rate fall from now on if time is running out, and end where it has run out."""

@@ -43,6 +43,15 @@ class Schedule:
         share = recipe.tail / (1 - recipe.tail) if recipe.tail < 1 else 1.0
         return replace(self, end=step + max(1, round(share * step)), tail=step)
 
+    def seconds_left(self, step: int, seconds: float, minutes: float | None) -> float | None:
+        """Of a run's minutes, `seconds` after it began.
+
+        None where there is no limit, and from the tail on, when it is known at which step it ends.
+        """
+        if minutes is None or self.tail is None or step >= self.tail:
+            return None
+        return max(60 * minutes - seconds, 0.0)
+
     def warm_again(self, step: int) -> Schedule:
         """The same run, the rate rising from 0 again: AdamW's moments are gone."""
         return replace(self, warm=step)

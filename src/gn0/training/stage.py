@@ -257,7 +257,8 @@ class Stage:
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=first + recipe.batch, seconds=seconds
             )
-            line.pulse(step, end, self.counters.samples, self._seconds_left(seconds))
+            left = self.schedule.seconds_left(step, seconds, plan.minutes)
+            line.pulse(step, end, self.counters.samples, left)
             over = step == end
             looks = over or (plan.examine and step % plan.examine == 0)
             saves = over or (plan.save and step % plan.save == 0)
@@ -279,7 +280,7 @@ class Stage:
                     values |= found
                 mark, marked = time.monotonic(), self.counters.samples
                 folder.report(step, values)
-                line.update(self._describe(values, end), self._seconds_left(seconds))
+                line.update(self._describe(values, end), left)
                 self._shorten(seconds)
             if saves:
                 guard.settle()
@@ -307,15 +308,11 @@ class Stage:
             {word: values[name] for name, word in SAID.items() if name in values},
         )
 
-    def _seconds_left(self, seconds: float) -> float | None:
-        """Of the plan's time; None without a limit, and once it says at which step the run ends."""
-        minutes, tail = self.plan.minutes, self.schedule.tail
-        if minutes is None or tail is None or self.counters.step >= tail:
-            return None
-        return max(minutes * 60 - seconds, 0.0)
-
     def _shorten(self, seconds: float) -> None:
         """Let the rate fall from now on if time is running out."""
-        left, recipe = self._seconds_left(seconds), self.learner.recipe
-        if left is not None and left <= (left + seconds) * recipe.tail:
+        minutes, recipe = self.plan.minutes, self.learner.recipe
+        tail = self.schedule.tail
+        if minutes is None or tail is None or self.counters.step >= tail:
+            return
+        if seconds >= minutes * 60 * (1 - recipe.tail):
             self.schedule = self.schedule.end_soon(self.counters.step, recipe)

@@ -60,3 +60,15 @@ def test_the_makefile_asks_for_it_wherever_tests_run_in_several_processes() -> N
         pytest.skip("no checkout: there is no Makefile")
     lines = [line for line in makefile.read_text().splitlines() if "-n $(TEST_WORKERS)" in line]
     assert lines and all("--dist loadfile" in line for line in lines)
+
+
+def test_what_takes_longest_is_still_there(pytestconfig: pytest.Config) -> None:
+    """A file or page that was moved would be begun late, and nobody would see why."""
+    here = Path(__file__).parent
+    ours = pytestconfig.pluginmanager.get_plugin(str(here / "conftest.py"))
+    assert ours is not None
+    files = [one for one in ours.DEAREST if not one.startswith("[")]
+    assert files and [one for one in files if not [*here.rglob(one)]] == []
+    if (here.parent / "docs").exists():
+        known = {page.name for page in (here.parent / "docs").glob("*.md")} | {"README.md"}
+        assert {one[1:-1] for one in ours.DEAREST} - {one[1:-1] for one in files} <= known

@@ -32,7 +32,11 @@
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000); none: a leg of the chain begins with all of them
 #   LOT_C     flats, apartments and houses of lot c (150 76 26)
-#   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins with lot c
+#   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins with lot c. Four
+#             numbers more add large apartments, medium residences, small offices and small corridors: 90 60 40 20 20 10 10
+#   LOT_E     another such lot, of other homes (none)
+#   LEG_LOTS  lots that these legs learn in (a b c, and d and e where there are such), as "a b e"; JOINS then has as many
+#             numbers
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
 #   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
@@ -109,11 +113,13 @@ else
   WALK=(--episodes "${EPISODES:-0}")
   UNTRAINED=()
 fi
-LEG_SUITES=("${SUITES[@]}") LOT_D=${LOT_D:-}
-if [ -n "$LOT_D" ]; then
-  LEG_SUITES+=("$OUT/suites/d")
-  [ -n "${JOINS:-}" ] || joins=$joins,${joins##*,}  # with lot c: scenes open once
-fi
+EXTRA=()  # lots that legs of the chain alone have
+[ -z "${LOT_D:-}" ] || EXTRA+=("d train $LOT_D")
+[ -z "${LOT_E:-}" ] || EXTRA+=("e train $LOT_E")
+LEG_LOTS=${LEG_LOTS:-$(echo "${SUITES[@]##*/}" "${EXTRA[@]%% *}")}
+LEG_SUITES=()
+for one in $LEG_LOTS; do LEG_SUITES+=("$OUT/suites/$one"); done
+[ -n "${JOINS:-}" ] || for one in "${EXTRA[@]}"; do joins=$joins,${joins##*,}; done  # with lot c: scenes open once
 [ "$joins" = none ] || { AGAIN+=(--joins "$joins"); NEW+=(--joins "$joins"); }
 if [ -n "${SPEED:-}" ]; then
   for kind in SFT FIRST ROUND LIVE NEW; do
@@ -259,7 +265,7 @@ legs_walks() { # LEG: on one input
   for one in no_words shuffled; do walk "$name-$one" "$run" exam val_unseen unseen --control "$one"; done
 }
 
-lot() { # NAME SPLIT FLATS HOMES HOUSES
+lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS]
   local spec=$OUT/specs/$1.yaml
   [ ! -f "$OUT/suites/$1/manifest.json" ] || return 0
   {
@@ -269,6 +275,10 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES
     part "$1-flat" "$3" "kind: apartment, size: small"
     part "$1-home" "$4" "kind: apartment, size: medium"
     part "$1-house" "$5" "kind: residence, size: small"
+    part "$1-large" "${6:-0}" "kind: apartment, size: large"
+    part "$1-villa" "${7:-0}" "kind: residence, size: medium"
+    part "$1-office" "${8:-0}" "kind: office, size: small"
+    part "$1-corridor" "${9:-0}" "kind: corridor, size: small"
   } > "$spec"
   export NUMBA_NUM_THREADS=1
   gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --no-sheet
@@ -314,7 +324,7 @@ SHARE=$(($(nproc) > ${#CARDS[@]} && ${#CARDS[@]} > 0 ? $(nproc) / ${#CARDS[@]} :
 ALL=${EACH:-$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))}  # cards of a trunk
 rest=$(printf ',homes-%s' "${LOTS[@]%% *}")
 rest=${rest:1}
-chain_rest=$rest${LOT_D:+,homes-d}
+chain_rest=homes-exam$(printf ',homes-%s' $LEG_LOTS)
 
 arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
   local cell=$1 seed=$2
@@ -342,7 +352,7 @@ row() { # NAME WHAT ...: a trunk of the input `all` with something else, one see
 }
 
 # 1. scenes and missions, made beside the learner; nobody waits for more than lot a
-for one in "${LOTS[@]}" ${LOT_D:+"d train $LOT_D"}; do job "homes-${one%% *}" "" 0 lot $one; done
+for one in "${LOTS[@]}" "${EXTRA[@]}"; do job "homes-${one%% *}" "" 0 lot $one; done
 job known homes-exam 0 missions "$OUT/homes/exam" known --phrasings known
 [ -z "${IMPORTED:-}" ] || job imported homes-exam 0 imported
 job untrained homes-exam 0 untrained

@@ -453,6 +453,17 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
         (out / "jobs" / f"{job}.done").unlink()
     assert "--joins" not in call("shipped-3", JOINS="none")
     assert "--joins 0,500000,3000000 " in call("maps-sft-0", JOINS="none")
+    (out / "jobs" / "shipped-3.done").unlink()
+    leg = call("shipped-3", LOT_D="", LOT_E="6 4 2 2 1 1 1", LEG_LOTS="a b e", JOINS="0,7,9")
+    assert " ".join(f"{out}/suites/{lot}" for lot in "abe") + " --live" in leg
+    assert "--joins 0,7,9 " in leg
+    spec = (out / "specs/e.yaml").read_text()
+    counts = re.findall(r"kind: (\w+), size: (\w+), count: (\d+)", spec)
+    assert counts == [
+        ("apartment", "small", "6"), ("apartment", "medium", "4"), ("residence", "small", "2"),
+        ("apartment", "large", "2"), ("residence", "medium", "1"), ("office", "small", "1"),
+        ("corridor", "small", "1"),
+    ]  # fmt: skip
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.assembly import Assembly, Item, Placed, Support
 from gn0.scenes.procedural.building import Building, check_reach
 from gn0.scenes.procedural.catalogue.decor.pictures import build_picture
@@ -51,6 +52,24 @@ def test_high_furniture_leaves_windows_and_doors_clear() -> None:
     assert room.is_clear((0.5, 0.0, 2.0, 0.5))
     assert not room.is_clear((4.2, 0.0, 4.6, 0.5)), "stands in the doorway"
     assert not room.is_clear((-0.2, 1.0, 0.5, 1.5)), "stands in the wall"
+
+
+def test_what_fits_to_the_ulp_is_placed_or_left_out() -> None:
+    """A stretch as wide as the item: rounding puts the ends of its middle either way round."""
+    turned = 0
+    for width in np.linspace(0.6, 1.4, 400):
+        low, high = 0.12 + width / 2, width + 2 * 0.12 - 0.12 - width / 2
+        turned += high < low
+        room = layout_of(width + 2 * 0.12, 3.0)
+        room.place_on_wall(box((width, 0.4, 0.5)), prefer="any", margin=0.12, reach=False)
+    assert turned > 20
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(1793248938, id="a toilet as wide as what the tub leaves of the wall")]
+)
+def test_flats_that_could_not_be_furnished_are(seed: int) -> None:
+    assert len(draft_apartment(seed, size="small").objects) > 50
 
 
 def test_the_way_between_two_doors_stays_wide_enough_for_a_person() -> None:

@@ -13,7 +13,7 @@ from gn0.scenes.procedural.catalogue.decor import greenery, pictures, windows
 from gn0.scenes.procedural.catalogue.seats import chairs, sofas
 from gn0.scenes.procedural.catalogue.storage import beds, books, cupboards
 from gn0.scenes.procedural.catalogue.tables import high_tables, low_tables, rugs
-from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
+from gn0.scenes.procedural.layout import Block, RoomLayout, draw_between, dress, footprint
 from gn0.scenes.procedural.shell import SIDES, Side
 
 
@@ -220,7 +220,7 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
             continue
         a, b = free[int(rng.integers(len(free)))]
         half = float(t_high[0] - t_low[0]) / 2 + 0.05
-        t = float(rng.uniform(a + half, b - half))
+        t = draw_between(rng, a + half, b - half)
         # distance of the sofa's back from the television wall
         back = across - 0.03
         if across > 4.3 or attempt > 45:

@@ -51,6 +51,14 @@ def overlaps(a: Rect, b: Rect, slack: float = 0.0) -> bool:
     )
 
 
+def draw_between(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number from `low` to `high`; `low` where rounding puts the ends the wrong way round.
+
+    In a stretch exactly as wide as what is to stand there they are an ulp apart, either way.
+    """
+    return float(rng.uniform(low, max(low, high)))
+
+
 @dataclass
 class RoomLayout:
     """The state of furnishing one room."""
@@ -213,7 +221,7 @@ class RoomLayout:
                 spot = {
                     "corner": ends,
                     "centre": [middle],
-                    "any": [float(self.rng.uniform(ends[0], ends[1])), *ends, middle],
+                    "any": [draw_between(self.rng, *ends), *ends, middle],
                 }[prefer]
                 options += [(side, t) for t in self.rng.permutation(spot)]
         if prefer == "any":

@@ -27,7 +27,7 @@ from gn0.scenes.procedural.groups import (
     place_shower,
     place_sofa_group,
 )
-from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
+from gn0.scenes.procedural.layout import Block, RoomLayout, draw_between, dress, footprint
 from gn0.scenes.procedural.palette import plain
 from gn0.scenes.procedural.shell import SIDES, Side
 
@@ -337,7 +337,7 @@ def furnish_hallway(layout: RoomLayout) -> None:
         gaps = layout.wall_gaps(side, 0.6, 1.8)
         wide = coats.size[0]
         if gaps and gaps[0][1] - gaps[0][0] > wide + 0.1:
-            t = float(rng.uniform(gaps[0][0] + wide / 2 + 0.05, gaps[0][1] - wide / 2 - 0.05))
+            t = draw_between(rng, gaps[0][0] + wide / 2 + 0.05, gaps[0][1] - wide / 2 - 0.05)
             strip = layout.strip(side, t - wide / 2, t + wide / 2, 0.2)
             if (
                 layout.is_clear(strip)

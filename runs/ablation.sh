@@ -281,7 +281,7 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS]
     part "$1-corridor" "${9:-0}" "kind: corridor, size: small"
   } > "$spec"
   export NUMBA_NUM_THREADS=1
-  gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --no-sheet
+  gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --skip-failed --no-sheet
   missions "$OUT/homes/$1" "$1"
 }
 

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,6 +34,10 @@ def spec_of(source: Path, count: int = 3) -> CorpusSpec:
     """`count` copies of one small scene: what is tested here is the corpus, not its scenes."""
     parts = tuple(CorpusPart(path=str(source), name=f"room-{i}") for i in range(count))
     return CorpusSpec(parts=parts, name="rooms", splits={"train": 0.6, "test": 0.4})
+
+
+def replace_parts(spec: CorpusSpec, parts: tuple[CorpusPart, ...]) -> CorpusSpec:
+    return msgspec.structs.replace(spec, parts=parts)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -99,6 +104,33 @@ def test_a_scene_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     with pytest.raises((StorageError, SceneError), match=r"nowhere\.ply"):
         generate_corpus(spec, tmp_path / "out")
     assert not (tmp_path / "out" / "corpus.json").exists()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_all_scenes_are_made_but_those_that_cannot_be(
+    source: Path, whole: Path, tmp_path: Path, workers: int
+) -> None:
+    broken = [tmp_path / "one.ply", tmp_path / "two.ply"]
+    for path in broken:
+        path.write_bytes(b"ply\nformat ascii 1.0\n")
+    bad = tuple(CorpusPart(path=str(path), name=path.stem) for path in broken)
+    spec = replace_parts(spec_of(source), (bad[0], *spec_of(source).parts, bad[1]))
+    out = tmp_path / "out"
+    with pytest.raises(FormatError, match="2 of 5 scenes cannot be made: one, two") as error:
+        generate_corpus(spec, out, workers=workers)
+    assert "--skip-failed" in error.value.remedy
+    assert not (out / "corpus.json").exists()
+    about = generate_corpus(spec, out, workers=workers, skip_failed=True)
+    assert about.left_out == ("one", "two") and load_corpus(out) == about
+    assert [scene.id for scene in about.scenes] == ["room-0", "room-1", "room-2"]
+    assert contents(out / "scenes") == contents(whole / "scenes")
+
+
+def test_nothing_but_failures_is_no_corpus(tmp_path: Path) -> None:
+    (tmp_path / "one.ply").write_bytes(b"ply\n")
+    spec = CorpusSpec(parts=(CorpusPart(path=str(tmp_path / "one.ply")),))
+    with pytest.raises(FormatError):
+        generate_corpus(spec, tmp_path / "out", skip_failed=True)
 
 
 @given(st.lists(st.integers(1, 12), min_size=1, max_size=4), st.integers(0, 10**6))

@@ -37,6 +37,7 @@ class Args(Config, frozen=True):
         workers: scenes made at a time; each takes 2 to 8 GB.
         executor: process on this machine, or ray.
         ray_address: address of a running Ray cluster.
+        skip_failed: leave out scenes that cannot be made, instead of ending with an error.
         no_sheet: do not draw all scenes from above into corpus.jpg.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
@@ -46,6 +47,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    skip_failed: bool = False
     no_sheet: bool = False
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
@@ -71,6 +73,7 @@ def run(args: Args) -> int:
             workers=args.workers,
             executor=args.executor,
             ray_address=args.ray_address,
+            skip_failed=args.skip_failed,
             progress=progress,
         )
         picture = Path(args.out) / "corpus.jpg"
@@ -84,6 +87,8 @@ def run(args: Args) -> int:
             f"{scene.id:<28}{split:<12}{scene.area:>7.1f}{scene.objects:>9}{scene.rooms:>7}"
             f"{scene.gaussians:>12,}"
         )
+    if corpus.left_out:
+        print(f"left out, since they cannot be made: {', '.join(corpus.left_out)}")
     print(f"written to {args.out}" + ("" if args.no_sheet else f"; look at {picture}"))
     print(f"next: gn0 missions generate {args.out} --out MISSIONS")
     return 0

@@ -42,6 +42,7 @@ def run_jobs(
     names: Sequence[str] | None = None,
     limit: float = float("inf"),
     done: Callable[[int, dict[str, Any]], None] = ignore_answer,
+    failed: Callable[[int, Gn0Error], None] | None = None,
     what: str = "units",
     progress: Progress = no_progress,
     steps: Progress = no_progress,
@@ -61,6 +62,8 @@ def run_jobs(
         names: what to call units in errors; their numbers by default.
         limit: seconds that a unit may take before its worker counts as hung.
         done: hears of each unit once, in this process.
+        failed: hears, instead, of one that raised; the others go on unless it raises, too. None:
+            the first that raises ends all.
         what: the units' name in the progress bar.
         progress: progress sink.
         steps: progress sink of the steps within units, added up over all of them; their totals are
@@ -69,7 +72,7 @@ def run_jobs(
     Raises:
         ConfigError: fewer than one worker, or no such executor.
         JobError: a unit raised something unforeseen, or its worker died or hung twice.
-        Gn0Error: what a unit raised on purpose; units that are running are given up.
+        Gn0Error: what a unit raised on purpose, or `failed`; units that are running are given up.
         BenchError: Ray is not installed, does not answer, or has too few CPUs.
     """
     check_executor(executor, workers)
@@ -80,9 +83,12 @@ def run_jobs(
 
     def settle(answer: Answer) -> None:
         nonlocal finished
-        if answer.value is None:
+        if answer.value is not None:
+            done(answer.index, answer.value)
+        elif failed is not None:
+            failed(answer.index, error_of(answer, labels[answer.index]))
+        else:
             raise error_of(answer, labels[answer.index])
-        done(answer.index, answer.value)
         finished += 1
         progress(what, finished, len(units))
 

@@ -127,7 +127,8 @@ class CorpusScene(Config, frozen=True):
 class CorpusFile(Config, frozen=True):
     """The content of `corpus.json`.
 
-    `without` are the forms of furniture that the scenes for training go without.
+    `without` are the forms of furniture that the scenes for training go without; `left_out` the
+    scenes that could not be made.
     """
 
     layout: int
@@ -137,6 +138,7 @@ class CorpusFile(Config, frozen=True):
     scenes: tuple[CorpusScene, ...]
     software: str = ""
     without: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def load_spec(path: Path | str) -> CorpusSpec:

@@ -12,7 +12,7 @@ import msgspec
 
 from gn0 import __version__
 from gn0.config import check_config
-from gn0.errors import SceneError
+from gn0.errors import Gn0Error, SceneError, StorageError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.locked_folder import lock_folder, read_begun, sweep_folder
 from gn0.progress import Progress, no_progress
@@ -51,6 +51,7 @@ def generate_corpus(
     workers: int = 1,
     executor: ExecutorName = "process",
     ray_address: str = "",
+    skip_failed: bool = False,
     progress: Progress = no_progress,
 ) -> CorpusFile:
     """Make every scene of a corpus; goes on where an earlier run of the same spec stopped.
@@ -64,12 +65,13 @@ def generate_corpus(
         workers: scenes at a time.
         executor: "process" or "ray".
         ray_address: address of a running cluster.
+        skip_failed: leave out scenes that cannot be made, and name them in the corpus.
         progress: progress sink.
 
     Raises:
         StorageError: `out` holds something else, or cannot be written.
         ConfigError: `out` holds another corpus, or the spec contradicts itself.
-        SceneError, FormatError: a scene cannot be made; those before it are kept.
+        SceneError, FormatError, JobError: a scene cannot be made; all others are, and are kept.
     """
     out = plain_path(out)
     spec = check_config(spec)
@@ -89,6 +91,7 @@ def generate_corpus(
         payloads = [
             _payload(scene, part, seed, out, Path(base), without) for scene, part, seed in todo
         ]
+        failures: dict[str, Gn0Error] = {}
         with Journal(out / JOURNAL_FILE) as journal:
             if not journal.read():
                 journal.append({"corpus": digest})
@@ -96,6 +99,11 @@ def generate_corpus(
             def note(index: int, answer: dict[str, Any]) -> None:
                 done[todo[index][0].id] = answer
                 journal.append({"scene": todo[index][0].id, **answer})
+
+            def note_failure(index: int, error: Gn0Error) -> None:
+                if isinstance(error, StorageError):  # a full disk fails all that follow
+                    raise error
+                failures[todo[index][0].id] = error
 
             run_jobs(
                 _BUILD,
@@ -105,21 +113,45 @@ def generate_corpus(
                 ray_address=ray_address,
                 names=[f"scene {scene.id}" for scene, _, _ in todo],
                 done=note,
+                failed=note_failure,
                 what="scenes",
                 progress=progress,
                 steps=progress,
             )
+        left_out = tuple(scene.id for scene, _, _ in plan if scene.id in failures)
+        if failures and not (skip_failed and done):
+            raise _tell_failures([failures[id] for id in left_out], left_out, len(plan))
         about = CorpusFile(
             layout=LAYOUT,
             name=spec.name,
             seed=spec.seed,
             spec=digest,
-            scenes=tuple(msgspec.structs.replace(scene, **done[scene.id]) for scene, _, _ in plan),
+            scenes=tuple(
+                msgspec.structs.replace(scene, **done[scene.id])
+                for scene, _, _ in plan
+                if scene.id in done
+            ),
             software=f"gn0 {__version__}",
             without=without,
+            left_out=left_out,
         )
-        write_json(out / CORPUS_FILE, msgspec.to_builtins(about))
+        content = msgspec.to_builtins(about)
+        if not left_out:
+            del content["left_out"]
+        write_json(out / CORPUS_FILE, content)
     return about
+
+
+def _tell_failures(errors: Sequence[Gn0Error], ids: Sequence[str], count: int) -> Gn0Error:
+    """The first of them, and what became of the others."""
+    first, what = errors[0], errors[0].what
+    if len(ids) > 1:
+        named = ", ".join(ids[:5]) + (", …" if len(ids) > 5 else "")
+        what = f"{len(ids)} of {count} scenes cannot be made: {named}; of the first: {what}"
+    remedy = "all others are made, and kept; --skip-failed leaves out those that cannot be"
+    if first.remedy:
+        remedy = f"{first.remedy}\n{remedy}"
+    return type(first)(what, where=first.where, remedy=remedy)
 
 
 def _read_journal(out: Path, digest: str) -> dict[str, dict[str, Any]]:

@@ -284,6 +284,22 @@ def test_dagger_live_goes_on_and_carries_its_driver_to_scenes_that_join(
 
 
 @pytest.mark.slow
+def test_a_suite_that_does_not_come_is_waited_for_no_longer_than_time_is(
+    suite, start, tmp_path, capsys
+) -> None:
+    """Not for an hour where the run has minutes: the rest of them would be lost, unsaid."""
+    own = ["--live", "--start", start, "--samples", 24, "--agents", 4, "--kept", 80, "--joins",
+           "0,8", "--text-length", 40, "--held-out", "", "--examined", 0, "--save", 1,
+           "--minutes", 0.2]  # fmt: skip
+    out = tmp_path / "run"
+    assert main(_words((suite, tmp_path / "never"), out, *own)) == 2
+    said = capsys.readouterr()
+    assert f"waiting for {tmp_path / 'never'}" in said.out
+    assert "no suite after" in said.err and "give the same command again" in said.err
+    assert (out / "checkpoints" / "step-000000002").is_dir()  # it may be gone on with
+
+
+@pytest.mark.slow
 def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
     suite, start, tmp_path, capsys
 ) -> None:

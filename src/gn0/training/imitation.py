@@ -6,6 +6,7 @@ either is opened, goes on and ends.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ from gn0.training.streams.samples import Stream
 from gn0.training.streams.stream_growing import StreamGrowing, check_joins
 from gn0.training.streams.stream_jittered import StreamJittered
 from gn0.training.worlds import (
+    PATIENCE,
     Lessons,
     leave_out_long,
     load_held_out,
@@ -176,16 +178,29 @@ class Imitation(StageRun):
                 process and lot, makes the stream of all of them.
         """
         job, processes = self.job, self.processes
+        begun: list[float] = []
 
         def open_lots(number: int) -> tuple[Stream, str]:
             paths = [path for lot in job.lots[: number + 1] for path in lot]
-            wait_for_suites(paths, self.say)
+            wait_for_suites(paths, self.say, self._find_patience(begun))
+            begun.append(time.monotonic())
             every = load_lessons(paths, job.splits)
             lessons = leave_out_long(every, pupil, self.say)
             seed = processes.seed(derive_seed(job.seed, "lot", number))
             return open_part(lessons, number, seed), every.hash
 
         return StreamGrowing(open_lots, [join // processes.count for join in job.joins])
+
+    def _find_patience(self, begun: Sequence[float]) -> float:
+        """How long a suite is waited for [s]: no longer than until the rate should fall.
+
+        Args:
+            begun: when each lot so far was opened; the first is waited for before time counts.
+        """
+        minutes, tail = self.job.plan.minutes, self.job.recipe.tail
+        if minutes is None or not begun:
+            return PATIENCE
+        return max(60 * minutes * (1 - tail) - (time.monotonic() - begun[0]), 0.0)
 
     def jitter(self, stream: Stream) -> Stream:
         """The stream, in other light where the job says so."""

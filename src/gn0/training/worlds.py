@@ -25,6 +25,7 @@ from gn0.suites.suite import SUITE_FILE, Suite, load_suite_scene
 from gn0.suites.suite_kept import load_suite_kept
 from gn0.training.pupil import Pupil
 
+PATIENCE = 3600.0  # s that a suite is waited for
 _POLL = 0.5  # s
 
 
@@ -141,7 +142,7 @@ def load_held_out(suite: Path | str, splits: Sequence[str]) -> Lessons:
 
 
 def wait_for_suites(
-    paths: Sequence[Path | str], say: Callable[[str], None], patience: float = 3600.0
+    paths: Sequence[Path | str], say: Callable[[str], None], patience: float = PATIENCE
 ) -> None:
     """Wait until suites that are being made beside us are whole.
 
@@ -161,7 +162,9 @@ def wait_for_suites(
             told = True
         if time.monotonic() - begun > patience:
             raise TrainingError(
-                f"no suite after {patience:.0f} s", where=missing[0], remedy="make it, and go on"
+                f"no suite after {patience:.0f} s",
+                where=missing[0],
+                remedy="make it, and give the same command again: it goes on from what was saved",
             )
         time.sleep(_POLL)
         missing = [path for path in missing if not (Path(path) / SUITE_FILE).is_file()]

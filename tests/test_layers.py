@@ -52,6 +52,13 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forget_trees() -> Iterator[None]:
+    """Two million objects would have to be looked through whenever garbage is collected later."""
+    yield
+    tree_of.cache_clear()
+
+
 @cache
 def imports_of(path: Path) -> list[str]:
     names = []

@@ -148,9 +148,10 @@ def _tell_failures(errors: Sequence[Gn0Error], ids: Sequence[str], count: int) -
     if len(ids) > 1:
         named = ", ".join(ids[:5]) + (", …" if len(ids) > 5 else "")
         what = f"{len(ids)} of {count} scenes cannot be made: {named}; of the first: {what}"
-    remedy = "all others are made, and kept; --skip-failed leaves out those that cannot be"
-    if first.remedy:
-        remedy = f"{first.remedy}\n{remedy}"
+    remedy = first.remedy
+    if len(ids) < count:
+        go_on = "all others are made, and kept; --skip-failed leaves out those that cannot be"
+        remedy = f"{remedy}\n{go_on}" if remedy else go_on
     return type(first)(what, where=first.where, remedy=remedy)
 
 

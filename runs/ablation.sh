@@ -35,8 +35,7 @@
 #   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins with lot c. Four
 #             numbers more add large apartments, medium residences, small offices and small corridors: 90 60 40 20 20 10 10
 #   LOT_E     another such lot, of other homes (none)
-#   LEG_LOTS  lots that these legs learn in (a b c, and d and e where there are such), as "a b e"; JOINS then has as many
-#             numbers
+#   LEG_LOTS  lots that these legs learn in (a b c, and d and e where there are such), as "a b e"
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
 #   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
@@ -119,7 +118,12 @@ EXTRA=()  # lots that legs of the chain alone have
 LEG_LOTS=${LEG_LOTS:-$(echo "${SUITES[@]##*/}" "${EXTRA[@]%% *}")}
 LEG_SUITES=()
 for one in $LEG_LOTS; do LEG_SUITES+=("$OUT/suites/$one"); done
-[ -n "${JOINS:-}" ] || for one in "${EXTRA[@]}"; do joins=$joins,${joins##*,}; done  # with lot c: scenes open once
+if [ -z "${JOINS:-}" ]; then  # what is beyond lot c joins with it: scenes open once
+  joins=$(awk -v all="$joins" -v lots=${#LEG_SUITES[@]} 'BEGIN {
+    count = split(all, at, ",")
+    for (k = 1; k <= lots; k++) printf "%s%s", (k > 1 ? "," : ""), at[k < count ? k : count]
+  }')
+fi
 [ "$joins" = none ] || { AGAIN+=(--joins "$joins"); NEW+=(--joins "$joins"); }
 if [ -n "${SPEED:-}" ]; then
   for kind in SFT FIRST ROUND LIVE NEW; do
@@ -281,7 +285,9 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS]
     part "$1-corridor" "${9:-0}" "kind: corridor, size: small"
   } > "$spec"
   export NUMBA_NUM_THREADS=1
-  gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --skip-failed --no-sheet
+  local skip=  # one home less to learn in is no harm; the exam is what it is said to be
+  [ "$2" != train ] || skip=--skip-failed
+  gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" $skip --no-sheet
   missions "$OUT/homes/$1" "$1"
 }
 

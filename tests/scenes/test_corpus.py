@@ -36,10 +36,6 @@ def spec_of(source: Path, count: int = 3) -> CorpusSpec:
     return CorpusSpec(parts=parts, name="rooms", splits={"train": 0.6, "test": 0.4})
 
 
-def replace_parts(spec: CorpusSpec, parts: tuple[CorpusPart, ...]) -> CorpusSpec:
-    return msgspec.structs.replace(spec, parts=parts)
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     files = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != JOURNAL_FILE)
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
@@ -114,11 +110,13 @@ def test_all_scenes_are_made_but_those_that_cannot_be(
     for path in broken:
         path.write_bytes(b"ply\nformat ascii 1.0\n")
     bad = tuple(CorpusPart(path=str(path), name=path.stem) for path in broken)
-    spec = replace_parts(spec_of(source), (bad[0], *spec_of(source).parts, bad[1]))
+    good = spec_of(source)
+    spec = msgspec.structs.replace(good, parts=(bad[0], *good.parts, bad[1]))
     out = tmp_path / "out"
     with pytest.raises(FormatError, match="2 of 5 scenes cannot be made: one, two") as error:
         generate_corpus(spec, out, workers=workers)
-    assert "--skip-failed" in error.value.remedy
+    assert "all others are made" in error.value.remedy
+    assert error.value.remedy.endswith("; fetch the file again")
     assert not (out / "corpus.json").exists()
     about = generate_corpus(spec, out, workers=workers, skip_failed=True)
     assert about.left_out == ("one", "two") and load_corpus(out) == about
@@ -129,8 +127,9 @@ def test_all_scenes_are_made_but_those_that_cannot_be(
 def test_nothing_but_failures_is_no_corpus(tmp_path: Path) -> None:
     (tmp_path / "one.ply").write_bytes(b"ply\n")
     spec = CorpusSpec(parts=(CorpusPart(path=str(tmp_path / "one.ply")),))
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError) as error:
         generate_corpus(spec, tmp_path / "out", skip_failed=True)
+    assert "others" not in error.value.remedy and not (tmp_path / "out" / "corpus.json").exists()
 
 
 @given(st.lists(st.integers(1, 12), min_size=1, max_size=4), st.integers(0, 10**6))

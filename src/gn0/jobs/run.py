@@ -63,7 +63,8 @@ def run_jobs(
         limit: seconds that a unit may take before its worker counts as hung.
         done: hears of each unit once, in this process.
         failed: hears, instead, of one that raised; the others go on unless it raises, too. None:
-            the first that raises ends all.
+            the first that raises ends all. One whose worker died or hung twice ends all in any
+            case.
         what: the units' name in the progress bar.
         progress: progress sink.
         steps: progress sink of the steps within units, added up over all of them; their totals are

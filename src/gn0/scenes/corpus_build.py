@@ -148,10 +148,10 @@ def _tell_failures(errors: Sequence[Gn0Error], ids: Sequence[str], count: int) -
     if len(ids) > 1:
         named = ", ".join(ids[:5]) + (", …" if len(ids) > 5 else "")
         what = f"{len(ids)} of {count} scenes cannot be made: {named}; of the first: {what}"
-    remedy = first.remedy
+    remedy = first.remedy  # that of a bug ends with its trace
     if len(ids) < count:
-        go_on = "all others are made, and kept; --skip-failed leaves out those that cannot be"
-        remedy = f"{remedy}\n{go_on}" if remedy else go_on
+        go_on = "all others are made, and kept: --skip-failed leaves out those that cannot be"
+        remedy = f"{go_on}; {remedy}" if remedy else go_on
     return type(first)(what, where=first.where, remedy=remedy)
 
 

@@ -67,7 +67,7 @@ $(RL)/.installed: pyproject.toml constraints.txt
 BAE_OLDEST = $(patsubst %,tests/training/test_%.py,adapters learner pupil sft_verb training_state)
 BAE_PYTEST = OMP_NUM_THREADS=1 $(BAE)/bin/python -m pytest -p no:cacheprovider -ra -n $(TEST_WORKERS) --dist loadfile
 
-# the study's own tests need no torch: `make test` runs them
+# the study's own tests need no torch: `make test` and `make test-all` run them
 bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes
 	$(BAE_PYTEST) "tests/docs/test_documents.py::test_every_command_block_runs[training.md]" \
 	  tests/policies/bae tests/policies/cma tests/policies/qwen tests/training --ignore tests/training/test_study.py \

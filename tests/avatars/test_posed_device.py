@@ -281,6 +281,34 @@ def test_who_is_expected_is_there_when_asked_for(batch: RendererBatch) -> None:
     assert bank.pose_expected(poses) == 0 and bank.bytes == bank.budget and 5 in bank
 
 
+def test_who_is_shown_may_be_kept_until_he_was(batch: RendererBatch) -> None:
+    """Others make room meanwhile; where they are too few, nobody is posed before all may."""
+    device, one = batch.device, PosedBankDevice(batch)
+    one.fetch([(1, Posture())])
+    bank = PosedBankDevice(batch, budget=4 * one.bytes)
+    chosen = device.empty(3, np.int32)
+    poses = PosesOneByOne(lambda code: Posture(0.1 * code))
+
+    def send(*codes: int) -> DeviceArray:
+        return device.upload(np.array(codes, np.uint64))
+
+    bank.find(send(1, 0, 0), chosen, poses)
+    bank.ask(send(2, 3, 4), chosen)
+    bank.expect(send(2, 3, 5))
+    bank.answer(poses)
+    assert bank.pose_expected(poses, shown=True) == 1 and 1 not in bank
+    assert all(code in bank for code in (2, 3, 4, 5)) and bank.bytes == bank.budget
+    bank.ask(send(2, 3, 5), chosen)
+    bank.expect(send(6, 7, 5))
+    assert bank.answer(poses) == 0
+    assert bank.pose_expected(poses, shown=True) == 0, "4 alone could make room"
+    assert all(code in bank for code in (2, 3, 4, 5)) and bank.evicted == 1
+    assert bank.pose_expected(poses) == 2 and 6 in bank and 7 in bank and 5 in bank
+    assert bank.bytes == bank.budget and bank.pose_expected(poses) == 0
+    bank.ask(send(5, 6, 8), chosen)  # what the device knows of this call is learnt
+    assert bank.answer(poses) == 1 and 5 in bank and 6 in bank and bank.bytes == bank.budget
+
+
 def test_an_eighth_of_the_budget_makes_room_at_once(batch: RendererBatch) -> None:
     device, one = batch.device, PosedBankDevice(batch)
     one.fetch([(1, Posture())])

@@ -199,6 +199,7 @@ class PosedBankDevice:
         self._used = np.zeros(0, np.int64)
         self._asked = np.zeros(0)
         self._faded = 0  # the call to which those have faded
+        self._taken = 0  # this call, if it has learnt of uses there to make room
         self._finder = SlotFinder(renderer.device)
         self._stale = True  # whether the finder does not know what is held
         self._asking: tuple[DeviceArray, DeviceArray, LackingCodes] | None = None
@@ -240,7 +241,7 @@ class PosedBankDevice:
             RenderError: somebody cannot be packed.
             DeviceMemoryError: the device has no room for them.
         """
-        self._call += 1
+        self._begin_call()
         codes = np.array([self._name_code(key) for key, _ in wanted], np.uint64)
         slots = self._held.find(codes)
         used = np.unique(slots[slots >= 0])
@@ -253,6 +254,9 @@ class PosedBankDevice:
         self.hits += len(wanted) - len(lacking)
         self._fill(np.array([*lacking], np.uint64), PosesOneByOne(lacking.__getitem__))
         return self._held.find(codes).tolist()
+
+    def _begin_call(self) -> None:
+        self._call, self._taken = self._call + 1, 0
 
     def _name_code(self, key: Hashable) -> int:
         """The code of a key: itself, or one above those of kernels."""
@@ -294,7 +298,7 @@ class PosedBankDevice:
 
         With `each` codes a view: which views are late, as of `PartsDevice`, until the next asking.
         """
-        self._call += 1
+        self._begin_call()
         self._expected = None  # that was of this call
         if self._finder.sends:  # what was used by the call before: not who is by this one
             self._take_uses()
@@ -333,29 +337,36 @@ class PosedBankDevice:
         self._expected = self._look(codes, self._unread, self._call + 1, lane=1)
         self._finder.send_uses()
 
-    def pose_expected(self, poses: CodedPoses) -> int:
+    def pose_expected(self, poses: CodedPoses, *, shown: bool = False) -> int:
         """Make clouds that `expect` named and that are not here; how many.
 
-        To be called when all that shows clouds of the last `find` was handed to the device: they
-        may make room for these. What it has to do meanwhile hides all of this.
+        To be called when all that shows clouds of the last `find` was handed to the device. What it
+        has to do meanwhile hides all of this.
+
+        Args:
+            poses: what codes stand for.
+            shown: whether those clouds may be shown once more; else they make room, too. If these
+                have no room without, none is made, and a later call may try again.
 
         Raises:
             RenderError, DeviceMemoryError: see `fetch`.
         """
         if self._expected is None:
             return 0
-        looked, self._expected = self._expected.numpy(), None
+        expected, self._expected = self._expected, None
+        looked = expected.numpy()
         slots = self._held.find(looked)
         lacking = looked[slots < 0]
         self._call += 1
         self._used[slots[slots >= 0]] = self._call  # posed since it looked
+        since = self._call - shown
         try:
-            if len(lacking):
-                self._fill(lacking, poses)
-            else:
-                self._make_room(0)
+            done = self._fill(lacking, poses, since) if len(lacking) else self._make_room(0, since)
         finally:
             self._call -= 1
+        if not done:
+            self._expected = expected
+            return 0
         self.ahead += len(lacking)
         return len(lacking)
 
@@ -386,13 +397,16 @@ class PosedBankDevice:
         self._asked *= 0.5 ** ((self._call - self._faded) / _FADES)
         self._faded = self._call
 
-    def _fill(self, codes: U64, poses: CodedPoses, *, hurried: bool = False) -> None:
+    def _fill(
+        self, codes: U64, poses: CodedPoses, since: int | None = None, *, hurried: bool = False
+    ) -> bool:
         """Make the clouds of codes that are not held, each once, by one launch.
 
-        Where somebody waits, in a hurry, nobody makes room and no posture is kept.
+        Where somebody waits, in a hurry, nobody makes room and no posture is kept. Whether it was
+        done: see `_make_room`.
         """
         if not len(codes):
-            return
+            return True
         postures = poses.postures(codes)
         framed, turned = self._frames.find(codes), self._postures.find(postures)
         known = (framed >= 0) & (turned >= 0)
@@ -406,7 +420,8 @@ class PosedBankDevice:
         )
         if not hurried:
             sizes = np.array([kind.size for kind in self._kinds])
-            self._make_room(int(sizes[kinds] @ counts))
+            if not self._make_room(int(sizes[kinds] @ counts), since):
+                return False
         for number, code in zip(kinds.tolist(), codes[first].tolist(), strict=True):
             kind = self._kinds[number]
             if kind.rest is None:
@@ -429,6 +444,7 @@ class PosedBankDevice:
                 kind.last = self._call
             elif self._call - kind.last > _LINGERS:
                 kind.rest = None
+        return True
 
     def _take_rows(self, count: int) -> F32:
         """Rows of postures, until the next call: memory that is new costs more than to write it."""
@@ -475,20 +491,29 @@ class PosedBankDevice:
             kind.clouds += more * int(count)
             self._bytes += more * int(count) * kind.size
 
-    def _make_room(self, wanted: int) -> None:
-        """Drop what was asked for least by its bytes, the newest first; nothing of this call."""
+    def _make_room(self, wanted: int, since: int | None = None) -> bool:
+        """Drop what was asked for least by its bytes, the newest first; nothing of this call.
+
+        Nothing either that was asked for `since` another, nor anything at all if that is too
+        little: whether there is room. This call itself gets it in any case.
+        """
         over = self._bytes + wanted - self.budget
         if over <= 0:
-            return
+            return True
+        since = self._call if since is None else since
         self._fade()
-        self._take_uses()
+        if self._taken != self._call:
+            self._take_uses()
+            self._taken = self._call
         held = np.flatnonzero(self._kind_of >= 0)
-        spare = held[self._used[held] != self._call]
+        spare = held[self._used[held] < since]
         sizes = np.array([kind.size for kind in self._kinds])[self._kind_of[spare]]
         rate = np.rint(np.log2(self._asked[spare])) - np.rint(np.log2(sizes))
         order = np.lexsort((-self._used[spare], rate))
         spare, sizes = spare[order], sizes[order]
         room = np.cumsum(sizes)
+        if since < self._call and (not len(room) or room[-1] < over):
+            return False
         enough = int(np.searchsorted(room, over)) + 1
         ample = int(np.searchsorted(room, over + self.budget // _AT_ONCE, "right"))
         gone = spare[: max(enough, ample)]
@@ -508,6 +533,7 @@ class PosedBankDevice:
         self._kind_of[gone], self._codes[gone] = -1, 0
         self.renderer.drop_parts(slots)
         self.evicted += len(slots)
+        return True
 
 
 def _let_go(renderer: HoldsParts, held: CodeMap) -> None:

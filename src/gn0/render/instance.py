@@ -121,6 +121,8 @@ class PartsDevice:
             says in how many views somebody was not there till then.
         late: int32 [V] in which views that is, of calls with `settle`: these are drawn last. None:
             all wait for `settle`.
+        meanwhile: called once all views were handed to the device, while it draws them; not by
+            calls that the host arranges. What they show must stay as it is.
     """
 
     names: Sequence[str] | None
@@ -131,6 +133,7 @@ class PartsDevice:
     nearer: DeviceArray | None = None
     settle: Callable[[], int] | None = None
     late: DeviceArray | None = None
+    meanwhile: Callable[[], None] | None = None
 
 
 Parts = Sequence[Instance] | Sequence[Sequence[Instance]]

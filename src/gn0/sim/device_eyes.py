@@ -250,7 +250,7 @@ class EyesDevice:
         out = {name: read(agents) for name, _, read in shown}
         assert all(len(value) == simulator.count for value in out.values())
         if self.people is not None:
-            self.people.pose_ahead()
+            self.people.pose_ahead(shown=False)  # who had no room before
         return out
 
     def draw_final(self, simulator: SimulatorDevice) -> dict[str, Any]:

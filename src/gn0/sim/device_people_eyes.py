@@ -177,21 +177,27 @@ class PeopleEyesDevice:
             self._next = self._next or _new_looks(device, count)
             self._find(simulator, company.look_ahead(), self._next)
             self.posed.expect(self._next[0])
-        return PartsDevice(None, poses, chosen, each, gains, nearer, self._settle, late)
+        return PartsDevice(
+            *(None, poses, chosen, each, gains, nearer, self._settle, late),
+            meanwhile=self.pose_ahead if self.ahead else None,
+        )
 
     def _settle(self) -> int:
         """Have all be posed whom agents see now; how many of these lacked somebody."""
         self.posed.answer(self.codes)
         return self.posed.late_views
 
-    def pose_ahead(self) -> None:
+    def pose_ahead(self, *, shown: bool = True) -> None:
         """Pose who will be seen next; the device draws what is seen now meanwhile.
 
         Who cannot be posed is posed, or refused, where it is seen: a step that was made is made.
+
+        Args:
+            shown: whether what is seen now may be drawn again, or by another call.
         """
         if self.ahead:
             with suppress(RenderError, DeviceMemoryError):
-                self.posed.pose_expected(self.codes)
+                self.posed.pose_expected(self.codes, shown=shown)
 
     def _find(
         self, simulator: SimulatorDevice, crowd: np.void, looks: Sequence[DeviceArray]

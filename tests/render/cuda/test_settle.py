@@ -150,6 +150,36 @@ def test_some_of_the_views_are_drawn_before_anybody_is_waited_for(monkeypatch) -
     assert party.batch.drawer.batches == before + 2
 
 
+@pytest.mark.parametrize("again", [False, True], ids=["once", "listed once more"])
+def test_more_is_done_while_the_device_draws(again: bool, many: int, monkeypatch) -> None:
+    """Once, when it has all views; should they be drawn again, the table may have grown."""
+    party, other, told, needs = Party(), Party(), [], [again]
+    run_batch = draw.Drawer._run_batch
+
+    def listed(drawer, work, views, *more):
+        need = run_batch(drawer, work, views, *more)
+        return need or (views.stop == work.count and bool(needs) and needs.pop())
+
+    def meanwhile() -> None:
+        told.append("meanwhile")
+        party.bank.expect(party.batch.device.upload(np.arange(20, 60, dtype=np.uint64)))
+        assert party.bank.pose_expected(POSES, shown=True) == 40
+
+    settled_before(party, 1), settled_before(other, 1)
+    slots, repeats = len(party.batch._named.table), party.batch.drawer.repeats
+    monkeypatch.setattr(draw.Drawer, "_run_batch", listed)
+    party.batch.drawer.on_stage = told.append
+    found = party.draw(party.ask(8, settle=party.answer, meanwhile=meanwhile))
+    assert len(party.batch._named.table) > slots
+    assert party.batch.drawer.repeats == repeats + again
+    batch = ["upload", "emit", "scan", "blend", "end"]
+    first = batch if many == 2 else []
+    assert told == [*first, "settle", *batch, "meanwhile", *batch * again]
+    party.batch.drawer.on_stage = None
+    assert found == settled_before(other, 8)
+    assert party.draw(party.ask(20, settle=party.answer)) == settled_before(other, 20)
+
+
 def test_views_of_one_scene_are_drawn_together(monkeypatch) -> None:
     """What lists a scene does so for many views at once; who is late comes last."""
     monkeypatch.setattr(draw, "_MANY", 4)

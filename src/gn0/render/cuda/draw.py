@@ -263,6 +263,8 @@ class Drawer:
                 continue
             if need:  # the lists did not fit, and nothing was blended
                 self.repeats += 1
+                if isinstance(work, WorkDevice):
+                    work.renew()
                 if need * _ENTRY > memory and count > 1:
                     most = max(min(count - 1, int(count * memory / (need * _ENTRY))), 1)
                     self._say_smaller(most)
@@ -307,8 +309,10 @@ class Drawer:
         self._heard.hush()
         self._launch(work, lists, self._heard, blend)
         self._tell("end")
-        # all that the host waits for; it goes on while the device draws
         heard, self._heard = self._heard, None  # one that nobody waited for may yet be written to
+        if isinstance(work, WorkDevice) and views.stop == work.count:
+            work.call_meanwhile()
+        # all that the host waits for; it goes on while the device draws
         total, longest, wrong, self.entries = heard.wait()
         self._heard = heard
         raise_wrong(wrong)

@@ -55,7 +55,7 @@ class Instances:
         gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
         nearer: float32 [I] by which each is sorted as if nearer [m]; None: 0.
         table: whose slots `chosen` numbers, if it does.
-        settle, late: as of `PartsDevice`.
+        settle, late, meanwhile: as of `PartsDevice`.
     """
 
     clouds: Sequence[CloudDevice | None]
@@ -67,6 +67,7 @@ class Instances:
     table: PartTable | None = None
     settle: Callable[[], int] | None = None
     late: DeviceArray | None = None
+    meanwhile: Callable[[], None] | None = None
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -173,6 +173,7 @@ class NamedClouds:
                 table=self.table if parts.names is None else None,
                 settle=parts.settle,
                 late=parts.late,
+                meanwhile=parts.meanwhile,
             )
             found.check(views)
             return found if len(found) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,6 +151,17 @@ class WorkDevice(Work):
             self.table = np.concatenate([self.table[: self.base], room])
             self.chunks = np.concatenate([self.chunks[: self.base], self.part_table.chunks])
         return late
+
+    def call_meanwhile(self) -> None:
+        """All views were handed to the device: whoever waits for that is called, once."""
+        if self.instances is not None and self.instances.meanwhile is not None:
+            call, self.instances = self.instances.meanwhile, replace(self.instances, meanwhile=None)
+            call()
+
+    def renew(self) -> None:
+        """Views are handed to the device once more: the table may have grown meanwhile."""
+        if self.instances is not None and not self.waits:
+            self.settle()
 
     def __init__(
         self,

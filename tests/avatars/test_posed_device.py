@@ -305,10 +305,13 @@ def test_who_is_shown_may_be_kept_until_he_was(batch: RendererBatch) -> None:
     assert all(code in bank for code in (2, 3, 4, 5)) and bank.evicted == 1
     assert bank.pose_expected(poses) == 2 and 6 in bank and 7 in bank and 5 in bank
     assert bank.bytes == bank.budget and bank.pose_expected(poses) == 0
-    old = next(code for code in (2, 3, 4) if code in bank)
-    bank.ask(send(old, 5, 8), chosen)
-    assert bank.answer(poses) == 1 and old in bank and 5 in bank, "it is learnt who was found"
-    assert bank.bytes == bank.budget
+    bank.ask(send(5, 0, 0), chosen)
+    bank.expect(send(9, 0, 0))
+    assert bank.answer(poses) == 0 and bank.pose_expected(poses) == 1
+    first, second, third = [code for code in range(1, 8) if code in bank]
+    bank.ask(send(second, third, 8), chosen)
+    assert bank.answer(poses) == 1 and first not in bank, "it is learnt who was found"
+    assert all(code in bank for code in (second, third, 8, 9)) and bank.bytes == bank.budget
 
 
 def test_an_eighth_of_the_budget_makes_room_at_once(batch: RendererBatch) -> None:

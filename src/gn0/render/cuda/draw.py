@@ -491,7 +491,7 @@ class Drawer:
             part_of, table = work.part_of[which], np.concatenate([table, behind])
             self._upload("parts", parts)
         shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views], own, part_of)
-        return shares.sizes, tables, len(shares.groups), self._upload("views", table)
+        return shares.sizes, tables, len(shares.groups) - 1, self._upload("views", table)
 
     def _tables_there(
         self, work: WorkDevice, views: slice, own: bool
@@ -505,11 +505,11 @@ class Drawer:
         if not work.grouped:  # all show one cloud, so the host can share the work out
             nothing = np.zeros(count, np.int32)
             shares, tables = self._share(work, nothing, nothing - 1, own)
-            return shares.sizes, tables, len(shares.groups), view_table
+            return shares.sizes, tables, len(shares.groups) - 1, view_table
         self._need("shown", known, np.uint32)
         tables = [
             self._clouds(work, own),
-            self._need("groups", known * GROUP.itemsize // 4, np.uint32),
+            self._need("groups", (known + 1) * GROUP.itemsize // 4, np.uint32),
             self._need("members", count + many, np.uint32),
         ]
         of_parts = work.chunks[work.base :]

@@ -16,7 +16,7 @@ from gn0.render.cuda.records import FindLate, FindSlots, HoldSlots
 
 _MIX = 0x9E3779B97F4A7C15  # of codes, as in `kernels/posed.cu`
 _THREADS = 128
-_LEAST = 2**15  # places: a thousand codes may come and go a step, and each time laid anew it waits
+_LEAST = 2**18  # places: a thousand codes may come and go a step, and each time laid anew it waits
 
 
 class LackingCodes:

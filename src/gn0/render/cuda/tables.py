@@ -135,7 +135,7 @@ class Shares:
     """Which block lists which chunk of which cloud for which views.
 
     Attributes:
-        groups: [G] of views that show one cloud.
+        groups: [G + 1] of views that show one cloud, and where blocks end.
         members: uint32 [M] numbers of their views.
         sizes: of what lists them.
     """
@@ -205,7 +205,10 @@ def share_work(
     table["first_block"] = np.cumsum(blocks) - blocks
     many = int(blocks[first:].sum())
     sizes = ShareSizes(int(blocks.sum()), each, many, 0 if alone else first, each_of_parts)
-    return Shares(table, np.concatenate(members).astype(np.uint32), sizes)
+    end = np.zeros(1, GROUP)
+    end["first_block"] = sizes.blocks
+    shown = np.concatenate(members).astype(np.uint32)
+    return Shares(np.concatenate([table, end]), shown, sizes)
 
 
 def choose_chunks(rows: int, most: int, spread: int) -> int:

@@ -217,6 +217,8 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
   __shared__ u32 seen_by[CHUNKS];
   // groups of instances may be given alone: their blocks lie behind those of the others
   u32 before = INSTANCES ? groups->first_block : 0;
+  // as many blocks as could be needed of whatever stands there: most have nothing to look for
+  if (INSTANCES && blockIdx.x + before >= groups[group_count].first_block) return;
   const Group g = groups[find_group(groups, group_count, before)];
   const Cloud &cloud = clouds[g.cloud];
   u32 rows = (g.chunks + each - 1) / each, local = blockIdx.x + before - g.first_block;

@@ -92,8 +92,9 @@ KERNEL_BOUNDED(rank_views, RANKERS, 1)
 #define GROUPERS 1024  // threads that group views
 
 // Groups of the views from `first` to `count` that show each cloud from `begin` to `end`, as they all
-// do, and their members, in the places of these views; one block. A group may be empty. In what order
-// it lists its members is the atomics' business, and cannot show.
+// do, and their members, in the places of these views; one block. A group may be empty; the one behind
+// them begins where their blocks end. In what order a group lists its members is the atomics' business,
+// and cannot show.
 KERNEL_BOUNDED(group_views, GROUPERS, 1)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 first, u32 count, u32 begin,
  u32 end, u32 each, u32 *counts, Group *groups, u32 *members) {
@@ -127,6 +128,7 @@ KERNEL_BOUNDED(group_views, GROUPERS, 1)
     }
     __syncthreads();
   }
+  if (!threadIdx.x) groups[end].first_block = (u32)done;
   for (u32 v = first + threadIdx.x; v < count; v += GROUPERS)
     if (views[v].cloud != NOWHERE) members[atomicAdd(counts + views[v].cloud, 1u)] = v;
 }

@@ -20,7 +20,7 @@ splits: {train: 1.0}
 parts:
   - {kind: apartment, size: small, density: 5000, light: draft}
 END
-  PATHS=3
+  PATHS=3 FEW=3
 else
   cat > "$OUT/corpus.yaml" <<END
 name: tiny
@@ -41,7 +41,7 @@ END
   else
     echo '  - {kind: apartment, size: medium, density: 5000, light: draft, split: test}' >> "$OUT/corpus.yaml"
   fi
-  PATHS=6
+  PATHS=6 FEW=21
 fi
 gn0 scene corpus --spec "$OUT/corpus.yaml" --out "$OUT/corpus" --workers "$WORKERS"
 
@@ -61,7 +61,7 @@ gn0 data stats "$OUT/data"
 
 say "every export"
 # formats with pictures draw, encode and read back every frame: a few episodes show as much as all
-few() { case $1 in gn-matrix* | vlnce-*) ;; *) echo "--limit 21" ;; esac; }
+few() { case $1 in gn-matrix* | vlnce-*) ;; *) echo "--limit $FEW" ;; esac; }
 whole_turns() { case $1 in navid | uninavid) echo "--merge-turns" ;; esac; }  # these walks turn by 15°, its agent by 30°
 for format in gn-matrix gn-matrix-json vlnce-r2r vlnce-rxr vln-pe interndata-n1 navdp lerobot-v3 \
     navid uninavid streamvln navila; do

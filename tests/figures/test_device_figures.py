@@ -100,7 +100,8 @@ def _rows(figure: Figure, ctx: FigureContext) -> dict[str, Any]:
     return {row.name: row for row in rows}
 
 
-LONG = {"render.cuda.suite", "render.cuda.sim", "people.sim.cuda"}  # which others' tests go through as well
+# which others' tests go through as well
+LONG = {"render.cuda.suite", "render.cuda.sim", "people.sim.cuda"}
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,11 @@ import sys
 STARTED = (
     "gn0.bench.episode_worker",
     "gn0.bench.runner",
+    "gn0.bench.report",
     "gn0.data.build",
     "gn0.render.share.server",
     "gn0.sim.vector",
+    "gn0.suites.named_suites",
 )
 LATE = ("scipy.spatial", "scipy.ndimage", "scipy.special", "scipy.optimize", "matplotlib", "torch")
 

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label as label_cells
-from scipy.optimize import nnls
 
 from gn0.avatars.light_voxels import LightVoxels, march_ray
 from gn0.gaussians.cloud import GaussianCloud
@@ -69,6 +67,8 @@ def find_glow(cloud: GaussianCloud, exposed: F64, reflected: F64) -> NDArray[np.
 
 def find_sources(cloud: GaussianCloud, glows: NDArray[np.bool_], box: F64) -> LightSources:
     """Sources of splats that glow, within a box [2, 3] m; their strength is not known yet."""
+    from scipy import ndimage  # here, so that who shows nobody does not load it
+
     rows = np.flatnonzero(glows & ((cloud.means > box[0]) & (cloud.means < box[1])).all(axis=1))
     empty = np.zeros((0, 3))
     none = LightSources(empty, empty, np.zeros(0), np.zeros(0, np.int64), empty, np.zeros(3))
@@ -82,7 +82,7 @@ def find_sources(cloud: GaussianCloud, glows: NDArray[np.bool_], box: F64) -> Li
     shape = tuple(at.max(axis=0) + 1)
     full = np.zeros(shape, bool)
     full[tuple(at.T)] = True
-    together = label_cells(full, np.ones((3, 3, 3)))[0][tuple(at.T)]
+    together = ndimage.label(full, np.ones((3, 3, 3)))[0][tuple(at.T)]
     coarse = np.floor((means - box[0]) / _PART).astype(np.int64)
     facing = np.argmax(np.concatenate([-normals, normals], axis=1), axis=1)
     source = np.unique(np.column_stack([together, coarse]), axis=0, return_inverse=True)[1].ravel()
@@ -117,6 +117,8 @@ def judge_sources(
     sources: LightSources, cloud: GaussianCloud, glows: NDArray[np.bool_], voxels: LightVoxels
 ) -> LightSources:
     """The same sources with the strengths that explain the irradiance of the other splats."""
+    from scipy.optimize import nnls
+
     assert cloud.irradiance is not None and cloud.normal is not None
     low, high = voxels.origin, voxels.origin + voxels.cell * np.array(voxels.number.shape)
     inside = ((cloud.means > low) & (cloud.means < high)).all(axis=1)

@@ -16,7 +16,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from gn0.bench.follow_metrics import FOLLOW_MEANS
 from gn0.bench.intervals import LEVEL, bootstrap_means
@@ -161,6 +160,8 @@ def paired_interval(
     A percentile interval is too narrow for few units; its levels are moved out as far as Student's
     t would move them (Hesterberg 2015, "expanded percentile interval").
     """
+    from scipy import special  # here, so that who compares nothing does not load it
+
     units = len(set(scenes)) if scenes is not None else len(differences)
     means = bootstrap_means(differences, scenes, seed=seed, name=f"compare {name}")
     if units < 2:

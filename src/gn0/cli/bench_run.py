@@ -109,7 +109,6 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Run, print the table, write the report; 1 when an episode failed to run."""
     from gn0.bench.identity import digest_policy
-    from gn0.bench.report import write_report
     from gn0.bench.results import count_notes
     from gn0.bench.run_bank import check_clips
     from gn0.bench.run_folder import check_run_folder
@@ -160,6 +159,8 @@ def run(args: Args) -> int:
         )
         report = None
         if not args.no_report:
+            from gn0.bench.report import write_report
+
             report = write_report(
                 [out], out / "report.html", suite=suite, videos=args.videos,
                 bank=args.bank or None, progress=progress,

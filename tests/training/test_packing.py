@@ -222,7 +222,7 @@ def test_the_card_has_a_table_of_walks_of_this_very_policy(run: Path, tmp_path: 
         )  # fmt: skip
         with open_walks(tmp_path / control, about) as kept:
             kept.add(walks)
-            kept.finish()
+            kept.finish([walk.episode for walk in walks])
     folders = [tmp_path / "none", tmp_path / "shuffled"]
     card = (pack_policy(run, tmp_path / "packed", walks=folders).folder / "README.md").read_text()
     rows = [line for line in card.splitlines() if line.startswith("| flats")]

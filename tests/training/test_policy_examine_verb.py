@@ -168,7 +168,7 @@ def test_an_examination_goes_on_and_is_of_one_policy(
     job = WalkJob(checkpoint=policy, suite=str(flats_suite.folder), splits=(), agents=2, episodes=4)
 
     def stop(stage: str, done: int, total: int) -> None:
-        if done:
+        if done == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -179,7 +179,7 @@ def test_an_examination_goes_on_and_is_of_one_policy(
     parts = examine_policy(
         job, tmp_path / "parts", device="host", progress=lambda _, done, __: told.append(done)
     )
-    assert told == [2, 4]  # two were there
+    assert told == sorted(told) and (told[0], told[-1]) == (3, 4)  # three were there
     whole = examine_policy(job, tmp_path / "whole", device="host")
     assert [replace(w, seconds=0.0) for w in parts] == [replace(w, seconds=0.0) for w in whole]
     assert load_walks(tmp_path / "parts")[1] == parts

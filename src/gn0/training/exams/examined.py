@@ -18,7 +18,8 @@ from gn0.policies.cma.cma_settings import FILE
 from gn0.policies.cma.cma_words import encode_text
 from gn0.policies.qwen.byte_pairs import read_byte_pairs
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.training.exams.evaluation import ClosedLoop, EpisodeLoop
+from gn0.training.exams.episode_loop import EpisodeLoop
+from gn0.training.exams.evaluation import ClosedLoop
 from gn0.training.exams.recurrent_examination import ClosedLoopRecurrent
 from gn0.training.exams.walk_job import WalkJob
 from gn0.training.pupil import Pupil, load_pupil

@@ -24,7 +24,7 @@ from gn0.storage import content_hash
 from gn0.training.exams.examined import Examined, open_examined
 from gn0.training.exams.walk_job import WalkJob
 from gn0.training.exams.walks import Walk
-from gn0.training.exams.walks_folder import WalksAbout, open_walks
+from gn0.training.exams.walks_folder import WalksAbout, WalksFolder, open_walks
 from gn0.training.runs.training_state import name_device
 from gn0.training.worlds import Lessons, load_lessons, open_card, open_world, pick_evenly
 
@@ -46,7 +46,7 @@ def examine_policy(
         device: a card; or `host`, the emulation, where the model answers on the CPU.
         fresh: forget what an earlier call left there.
         say: is told what is left out, and that walks were there before.
-        progress: is told after each chunk how many walks there are, and how many there will be.
+        progress: is told how many walks there are, and how many there will be.
 
     Returns:
         the walks, in order of the suite's episodes.
@@ -90,32 +90,34 @@ def examine_policy(
         if kept.about.finished:
             say(f"walked before: {counted(len(kept.walks), 'episode')}")
             return kept.walks
-        _walk(kept.walks, kept.add, wanted, about, lessons, policy, card, progress)
-        kept.finish()
+        _walk(kept, wanted, lessons, policy, card, progress)
+        kept.finish([lessons.episodes[k].id for k in wanted])
         return kept.walks
 
 
 def _walk(
-    walks: list[Walk],
-    add: Callable[[list[Walk]], None],
+    kept: WalksFolder,
     wanted: list[int],
-    about: WalksAbout,
     lessons: Lessons,
     policy: Examined,
     card: Device,
     progress: Progress,
 ) -> None:
-    """Walk what is wanted beyond the walks that there are, a chunk at a time."""
-    if len(walks) == len(wanted):
+    """Walk what is wanted beyond the walks that there are."""
+    before = {walk.episode for walk in kept.walks}
+    left = [k for k in wanted if lessons.episodes[k].id not in before]
+    if not left:
         return
+    about = kept.about
     world = open_world(lessons, policy.settings, about.agents, device=card)
     try:
         loop = policy.open_loop(world, torch.bfloat16 if about.dtype == "bfloat16" else None)
-        progress("walking", len(walks), len(wanted))
-        while len(walks) < len(wanted):
-            some = wanted[len(walks) : len(walks) + about.agents]
-            add(loop.play(some, control=about.control))
-            progress("walking", len(walks), len(wanted))
+        loop.play(
+            left,
+            control=about.control,
+            keep=kept.add,
+            progress=lambda stage, done, _: progress(stage, len(before) + done, len(wanted)),
+        )
     finally:
         world.close()
 

@@ -13,7 +13,8 @@ from gn0.device.device import Device
 from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.cma.recurrent import RecurrentNet
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.training.exams.evaluation import AskedAgents, EpisodeLoop
+from gn0.training.exams.episode_loop import EpisodeLoop
+from gn0.training.exams.walkers import AskedAgents
 from gn0.training.exams.walks import summarise_walks
 from gn0.training.recurrent_learner import DriverNet, WordTable
 from gn0.training.worlds import Lessons, load_held_out, open_world, pick_evenly

@@ -89,7 +89,7 @@ class WalksFolder:
     Attributes:
         folder: where it lies.
         about: of what.
-        walks: those that there are, in order.
+        walks: those that there are, as they came to an end; in order of the suite once finished.
     """
 
     def __init__(self, folder: Path, about: WalksAbout, walks: list[Walk]) -> None:
@@ -97,7 +97,7 @@ class WalksFolder:
         self._journal = Journal(folder / JOURNAL)
 
     def add(self, walks: Sequence[Walk]) -> None:
-        """Add the next ones; they are on the disk when this returns.
+        """Add some; they are on the disk when this returns.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -105,13 +105,18 @@ class WalksFolder:
         self._journal.append({"walks": msgspec.to_builtins(list(walks))})
         self.walks += walks
 
-    def finish(self) -> None:
+    def finish(self, episodes: Sequence[str]) -> None:
         """Write the two files; the journal goes.
+
+        Args:
+            episodes: their ids, in the order in which walks are written.
 
         Raises:
             StorageError: the disk is full or refuses.
         """
         self._journal.close()
+        own = {walk.episode: walk for walk in self.walks}
+        self.walks = [own[one] for one in episodes]
         data = b"".join(msgspec.json.encode(walk, order="sorted") + b"\n" for walk in self.walks)
         self.about = msgspec.structs.replace(
             self.about,

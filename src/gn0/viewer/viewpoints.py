@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gn0.geometry import F64, Pose2D, view_from_pose
 from gn0.maps.grid import FREE, OCCUPIED
@@ -118,8 +119,6 @@ def _walls(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _near_free(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    from scipy import ndimage  # here, so that who only looks on does not load it
-
     return np.asarray(ndimage.binary_dilation(free, iterations=12))
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import ndimage
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
 from gn0.scenes.procedural.catalogue.clutter.on_table import ON_TABLE, Maker
@@ -116,8 +117,6 @@ class RoomLayout:
         self, rects: Iterable[Rect] = (), reach: Iterable[tuple[float, float]] = ()
     ) -> bool:
         """Whether all doors, and the fronts of furniture, stay connected with `rects` added."""
-        from scipy import ndimage  # here, so that a suite that is only read does not load it
-
         r = self.room
         w, h = int(np.ceil(r.width / CELL)), int(np.ceil(r.depth / CELL))
         free = np.zeros((h + 2, w + 2), bool)

@@ -27,6 +27,7 @@ from gn0.training.exams.evaluation import (  # noqa: E402
 )
 from gn0.training.exams.walks import summarise_walks  # noqa: E402
 from gn0.training.pupil import Pupil, build_pupil, load_pupil  # noqa: E402
+from gn0.training.streams.live_counts import LiveCounts  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
 SETTINGS = PolicySettings(
@@ -139,6 +140,17 @@ def test_every_step_is_held_against_the_expert(walker, env) -> None:
     assert counts.stopped == int((live & (mine == 0)).sum()) == sum(w.stopped for w in walks)
     assert counts.stopped_right == int((live & (mine == 0) & (theirs == 0)).sum())
     assert counts.forwards == sum(w.forwards for w in walks) and counts.ended == 4
+
+
+def test_who_begins_another_episode_is_held_against_the_expert_anew(walker, env) -> None:
+    """What is counted of four agents in turn is what is counted of four episodes at a time."""
+    loop = ClosedLoop(env, walker[0], labelled=True)
+    apart = LiveCounts()
+    for begin in (0, 4, 8):
+        loop.play(range(begin, begin + 4))
+        apart += loop.counts
+    loop.play()
+    assert loop.counts == apart and apart.ended == 12 and apart.steps > apart.agreed > 0
 
 
 def test_a_stop_is_asked_again_and_three_actions_are_carried_out(walker, env) -> None:

@@ -187,7 +187,7 @@ class ClosedLoop(EpisodeLoop):
             control: what is taken away.
             seed: of the shuffling.
             keep: is given walks while others go on.
-            progress: is told how many have come to an end.
+            progress: is told how many walks there are.
             watch: is given pictures, prompts and answers of each decision of all agents; those
                 that are done decide on, for nobody.
         """

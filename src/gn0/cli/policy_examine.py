@@ -52,7 +52,8 @@ class Args(Config, frozen=True):
         carried: carry out the actions of an answer, or follow its waypoints (and stop where its
             first action does).
         episodes: walk only so many, evenly over the suite; 0 for all.
-        agents: that walk side by side, all asked in one batch.
+        agents: that walk side by side, all asked in one batch; who has come to an end begins the
+            next episode.
         dtype: of what is computed; auto: bfloat16 on a card, else float32.
         device: auto, cuda, or host (the emulation: slow, for trials).
         fresh: forget what an earlier examination left in the output folder.

@@ -30,7 +30,7 @@ class WalkJob(Config, frozen=True):
         confirm_stop: a STOP behind the first action of an answer is asked again.
         carried: the actions of an answer, or its waypoints; see `ClosedLoop`.
         episodes: that are walked, evenly over the suite; 0 for all.
-        agents: side by side; all are asked in one batch.
+        agents: side by side, all asked in one batch; who has ended begins the next episode.
         dtype: of what is computed; auto: bfloat16 on a card, else float32.
     """
 

@@ -29,9 +29,10 @@ from gn0.data.answer_form import AnswerForm
 from gn0.policies.bae.actor import Actor
 from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.ego_map import EgoSquare, MapView
-from gn0.training import dapo
+from gn0.training import dapo, imitation
 from gn0.training.policy_driver import PolicyDriver
 from gn0.training.pupil import build_pupil
+from gn0.training.runs.stage_chain import read_stages
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_collected import StreamCollected
 from gn0.training.worlds import load_lessons
@@ -94,6 +95,11 @@ def _read(folder: Path) -> list[dict]:
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     clock = ("seconds", "samples_per_second")
     return [{k: v for k, v in line.items() if k not in clock} for line in lines]
+
+
+def _read_told(folder: Path) -> str:
+    """What the policy's last stage tells of itself."""
+    return read_stages(folder / "policy")[-1].told
 
 
 def _forget(run: Path, step: int) -> None:
@@ -297,6 +303,32 @@ def test_a_suite_that_does_not_come_is_waited_for_no_longer_than_time_is(
     assert f"waiting for {tmp_path / 'never'}" in said.out
     assert "no suite after" in said.err and "give the same command again" in said.err
     assert (out / "checkpoints" / "step-000000002").is_dir()  # it may be gone on with
+    assert main(_words((suite, tmp_path / "never"), out, *own, "--join-late")) == 0
+    assert f"{tmp_path / 'never'}: not there yet, and not waited for" in capsys.readouterr().out
+    assert _read(out)[-1]["suites"] == 1 and "never came too late" in _read_told(out)
+
+
+@pytest.mark.slow
+def test_a_suite_that_is_late_joins_when_it_is_there(
+    suite, start, tmp_path, capsys, monkeypatch
+) -> None:
+    second = _make_suite(tmp_path, "other-flat", 1)
+    asked = []
+
+    def is_whole(path) -> bool:
+        asked.append(path)
+        return Path(path) == suite or len(asked) > 3
+
+    monkeypatch.setattr(imitation, "is_whole", is_whole)
+    own = ["--live", "--start", start, "--samples", 32, "--agents", 4, "--kept", 80, "--joins",
+           "0,8", "--text-length", 40, "--examined", 0, "--join-late"]  # fmt: skip
+    out = tmp_path / "run"
+    assert main(_words((suite, second), out, *own)) == 0
+    assert capsys.readouterr().out.count("not waited for") == 1
+    joined = [line["suites"] for line in _read(out) if "suites" in line]
+    assert joined[0] == 1 and joined[-1] == 2 and "too late" not in _read_told(out)
+    assert main(_words(suite, tmp_path / "one", *own[:5], "--join-late")) == 2
+    assert "all of them from the first sample on" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ class Numbers:
         self.drawn = state["drawn"]
 
 
-def _open(part: int) -> tuple[Numbers, str]:
+def _open(part: int, begun: int) -> tuple[Numbers, str]:
     return Numbers(part), f"hash {part}"
 
 
@@ -49,9 +49,9 @@ def test_each_lot_joins_at_its_number() -> None:
 def test_lots_of_one_number_join_together(joins: tuple[int, ...], parts: str) -> None:
     opened = []
 
-    def open_part(part: int) -> tuple[Numbers, str]:
+    def open_part(part: int, begun: int) -> tuple[Numbers, str]:
         opened.append(part)
-        return _open(part)
+        return _open(part, begun)
 
     drawn = _draw_all(StreamGrowing(open_part, joins), 6)
     assert "".join(str(part) for part, _ in drawn) == parts
@@ -68,6 +68,49 @@ def test_it_goes_on_where_it_was_left(stop: int) -> None:
     assert begun + _draw_all(second, 6 - stop) == whole
 
 
+def test_a_late_lot_joins_with_the_first_samples_that_find_it() -> None:
+    there, begun = set[int](), []
+
+    def open_part(part: int, drawn: int) -> tuple[Numbers, str]:
+        begun.append(drawn)
+        return _open(part, drawn)
+
+    def open_stream() -> StreamGrowing:
+        return StreamGrowing(open_part, [0, 4, 8, 12], there.__contains__)
+
+    stream = open_stream()
+    assert [part for part, _ in _draw_all(stream, 3)] == [0, 0, 0]
+    there.add(2)  # not before the one that is due before it
+    assert stream.draw(4)[0] == 0
+    there.add(1)
+    assert stream.draw(4) == (2, 0) and begun == [0, 16]
+    there.add(3)
+    state = stream.state()
+    whole = _draw_all(stream, 3)
+    assert [part for part, _ in whole] == [3, 3, 3]
+    other = open_stream()
+    other.restore(state)
+    assert begun[-2:] == [0, 16]  # as it was, however late
+    assert _draw_all(other, 3) == whole
+
+
+def test_a_lot_that_is_there_early_waits_for_its_number() -> None:
+    drawn = _draw_all(StreamGrowing(_open, [0, 8, 13], lambda part: True), 6)
+    assert drawn == _draw_all(StreamGrowing(_open, [0, 8, 13]), 6)
+
+
+def test_states_of_old_do_not_tell_when_scenes_joined() -> None:
+    first = StreamGrowing(_open, [0, 8])
+    _draw_all(first, 3)
+    state = first.state()
+    del state["begun"]
+    other = StreamGrowing(_open, [0, 8])
+    other.restore(state)
+    assert other.draw(4) == (1, 4)
+    with pytest.raises(FormatError, match="joined after 40 samples"):
+        other.restore(state | {"begun": 40})
+
+
 def test_joins_that_make_no_sense_and_foreign_states_are_refused() -> None:
     for joins in ((), (4,), (0, 8, 4), (0, -1)):
         with pytest.raises(ConfigError, match="join at"):
@@ -79,6 +122,6 @@ def test_joins_that_make_no_sense_and_foreign_states_are_refused() -> None:
 def test_scenes_that_changed_meanwhile_are_refused() -> None:
     first = StreamGrowing(_open, [0, 8])
     _draw_all(first, 3)
-    other = StreamGrowing(lambda part: (Numbers(part), "another"), [0, 8])
+    other = StreamGrowing(lambda part, _: (Numbers(part), "another"), [0, 8])
     with pytest.raises(CheckpointError, match="learned from scenes hash 1, these are another"):
         other.restore(first.state())

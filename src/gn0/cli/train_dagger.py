@@ -69,6 +69,8 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
             the policy of --start does (--live).
         joins: samples drawn when each suite joins, with commas between; those of one number join
             together, and a suite that is not there yet is waited for (--live).
+        join_late: do not wait for suites that are not there yet: learn on, and take each up when it
+            is there, unless the rate falls by then (--live).
         kept: states that batches are drawn from (--live; by default 200,000).
         ratio: new states a sample (--live; by default 0.5).
         size: of a model from random weights: nano or tiny (--live without --start, as --layout and
@@ -109,6 +111,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
     confirm_stop: bool = False
     draw_after: Annotated[int, msgspec.Meta(ge=0, le=10_000)] | None = None
     joins: str | None = None
+    join_late: bool = False
     kept: Annotated[int, msgspec.Meta(ge=1)] | None = None
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
     size: str | None = None
@@ -127,7 +130,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
 ONCE = ("source", "states", "epochs", "driver", "beta", "rescue")
 LIVE = (
     "samples", "minutes", "beta_from", "beta_to", "acts", "confirm_stop", "draw_after", "joins",
-    "kept", "ratio",
+    "join_late", "kept", "ratio",
 )  # fmt: skip
 OWN = ("size", "layout", "preset")  # that a policy keeps
 ASKED = ("prompt", "pictures", "without", "points")  # that it may be asked in another way
@@ -226,6 +229,7 @@ def _read_live(args: Args) -> DaggerLiveJob:
         **both,
         **_given(args, names),
         joins=read_joins(args.joins or "0"),
+        join_late=args.join_late,
         settings=settings,
         confirm_stop=args.confirm_stop,
     )

@@ -38,6 +38,8 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
         joins: samples drawn when each suite joins, with commas between; those of one number join
             together, and a suite that is not there yet is waited for. By default all are there from
             the first sample on.
+        join_late: do not wait for suites that are not there yet: learn on, and take each up when it
+            is there, unless the rate falls by then.
         source: where states come from: walks of the expert, uniform over the scenes, or datasets.
         shares: of the samples, one a dataset with commas between; by their sizes by default.
         recipe: how it learns: scratch, from random weights; pretrained, the paper's rates.
@@ -71,6 +73,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
     """
 
     joins: str = "0"
+    join_late: bool = False
     source: Literal["walks", "uniform", "dataset"] = "walks"
     shares: str = ""
     recipe: Literal["scratch", "pretrained"] = "scratch"
@@ -137,6 +140,7 @@ def run(args: Args) -> int:
     job = SftJob(
         **args.list_job(),
         joins=read_joins(args.joins),
+        join_late=args.join_late,
         source=args.source,
         size=args.size,
         start=args.start,

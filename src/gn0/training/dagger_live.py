@@ -157,7 +157,8 @@ def train_dagger_live(
 
         def watch() -> dict[str, float]:
             counts = run.processes.mean(asdict(walks.tell()), run.where)
-            return {**share_counts(counts), "beta": job.beta(walks.drawn * run.processes.count)}
+            beta = job.beta(walks.drawn * run.processes.count)
+            return {**share_counts(counts), "beta": beta, **run.count_suites(walks)}
 
         found = stage.run(run.folder, run.say, examine, watch)
         return run.finish(stage, compare_entropy(run, found))
@@ -200,7 +201,7 @@ def _open_walks(
     `confirm_stop` that is 9/8 times as much for each input.
     """
     processes = run.processes
-    batch, dtype = processes.share(job.recipe.batch), learner.autocast
+    dtype = learner.autocast
     weights = learner.averaged_weights if job.acts == "averaged" else nullcontext
     driving = {name: pupil.inputs[name] for name in job.inputs or [pupil.settings.input]}
 
@@ -215,7 +216,7 @@ def _open_walks(
     drawing = max((one.drawing for one in drivers.values()), key=lambda d: d.slots if d else 0)
     again = open_drivers(count_confirmed(job.agents)) if job.confirm_stop else None
 
-    def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
+    def open_part(lessons: Lessons, begun: int, seed: int) -> Stream:
         check_lessons(lessons.episodes)
         world = open_world(
             lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say
@@ -231,8 +232,6 @@ def _open_walks(
             entered = {name: one.enter(makers[name]) for name, one in those.items()}
             return entered if job.inputs else next(iter(entered.values()))
 
-        join = job.joins[number] if number else 0
-        begun = -(-(join // processes.count) // batch) * batch  # a batch's first sample
         return StreamLive(
             world, ring, seed=seed, ratio=job.ratio, driver=enter(drivers),
             inputs=job.inputs or None,

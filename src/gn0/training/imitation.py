@@ -42,6 +42,7 @@ from gn0.training.streams.stream_jittered import StreamJittered
 from gn0.training.worlds import (
     PATIENCE,
     Lessons,
+    is_whole,
     leave_out_long,
     load_held_out,
     load_lessons,
@@ -57,6 +58,8 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
     Attributes:
         joins: samples drawn when each suite joins; those that are not there yet are waited for,
             and those of one number join together. One number: all from the first sample on.
+        join_late: suites that are not there then are not waited for, but join when they are; the
+            samples depend on how long they take.
         inputs: shares of the steps, by name of the policy's inputs; where there are several, it
             learns the default alone when empty.
         recipe: how it learns.
@@ -70,6 +73,7 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
     """
 
     joins: tuple[int, ...] = (0,)
+    join_late: bool = False
     inputs: dict[str, float] = msgspec.field(default_factory=dict)
     recipe: Recipe = RECIPES["scratch"]
     plan: StagePlan = StagePlan()
@@ -99,6 +103,12 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
                 remedy="give one number a suite, or 0",
             )
         check_joins(self.joins)
+        if self.join_late and len(self.joins) == 1:
+            raise ConfigError(
+                "suites that may be late, all of them from the first sample on",
+                where="join_late",
+                remedy="say when each joins (joins, as 0,500000), or leave it out",
+            )
 
     @property
     def reads_dataset(self) -> bool:
@@ -174,22 +184,38 @@ class Imitation(StageRun):
 
         Args:
             pupil: whose prompts' length decides what episodes take part.
-            open_part: of lessons, the number of the lot that joined last, and a seed of this
-                process and lot, makes the stream of all of them.
+            open_part: of lessons, the samples that this process drew before they joined, and a seed
+                of this process and lot, makes the stream of all of them.
         """
         job, processes = self.job, self.processes
         begun: list[float] = []
+        missed = set[int]()
 
-        def open_lots(number: int) -> tuple[Stream, str]:
+        def open_lots(number: int, drawn: int) -> tuple[Stream, str]:
             paths = [path for lot in job.lots[: number + 1] for path in lot]
             wait_for_suites(paths, self.say, self._find_patience(begun))
             begun.append(time.monotonic())
             every = load_lessons(paths, job.splits)
             lessons = leave_out_long(every, pupil, self.say)
             seed = processes.seed(derive_seed(job.seed, "lot", number))
-            return open_part(lessons, number, seed), every.hash
+            return open_part(lessons, drawn, seed), every.hash
 
-        return StreamGrowing(open_lots, [join // processes.count for join in job.joins])
+        def is_there(number: int) -> bool:
+            late = [path for path in job.lots[number] if not is_whole(path)]
+            if late and number not in missed:
+                missed.add(number)
+                self.say(f"{', '.join(late)}: not there yet, and not waited for")
+            return not late and self._find_patience(begun) > 0  # none joins as the rate falls
+
+        return StreamGrowing(
+            open_lots,
+            [join // processes.count for join in job.joins],
+            is_there if job.join_late else None,
+        )
+
+    def count_suites(self, stream: StreamGrowing) -> dict[str, float]:
+        """How many suites have joined, for reports; nothing where all are there at first."""
+        return {"suites": stream.part + 1} if len(self.job.lots) > 1 else {}
 
     def _find_patience(self, begun: Sequence[float]) -> float:
         """How long a suite is waited for [s]: no longer than until the rate should fall.

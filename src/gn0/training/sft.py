@@ -22,7 +22,7 @@ from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import open_learner
 from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on, fit_texts, open_pupil
-from gn0.training.stage import Stage
+from gn0.training.stage import Stage, Watch
 from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
@@ -110,14 +110,15 @@ def train_sft(
         if run.finished is not None:
             return run.policy
         pupil = run.open_pupil(lambda: _make_pupil(job, run))
-        stream = _open_stream(job, pupil, run)
+        stream, watch = _open_stream(job, pupil, run)
         maker = pupil.maker_of(stream, run.where)
         learner = open_learner(pupil, maker.table, job.recipe, job.speed, run.processes)
         stage = Stage(
             pupil, learner, stream, maker, job.plan, run.recipe, run.corpus, mixture=run.mixture
         )
         run.restore(stage)
-        found = stage.run(run.folder, run.say, run.open_examination(job, pupil, learner))
+        examine = run.open_examination(job, pupil, learner)
+        found = stage.run(run.folder, run.say, examine, watch)
         return run.finish(stage, found)
 
 
@@ -142,9 +143,10 @@ def _make_pupil(job: SftJob, run: Imitation) -> Pupil:
     return build_pupil(job.size, job.settings, texts, seed=job.seed)
 
 
-def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> Stream:
+def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> tuple[Stream, Watch | None]:
+    """What is learned from, and what reports tell of it."""
     if run.card is None:
-        return StreamDataset(
+        read = StreamDataset(
             job.suites,
             job.settings.shown,
             shares=job.shares or None,
@@ -158,8 +160,9 @@ def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> Stream:
             ranks=run.processes.count,
             device=pupil.model.device,
         )
+        return read, None
 
-    def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
+    def open_part(lessons: Lessons, begun: int, seed: int) -> Stream:
         world = open_world(
             lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say
         )
@@ -172,4 +175,5 @@ def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> Stream:
         dark = job.recipe.blackout
         return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=dark, lazy=lazy)
 
-    return run.jitter(run.open_growing(pupil, open_part))
+    growing = run.open_growing(pupil, open_part)
+    return run.jitter(growing), lambda: run.count_suites(growing)

@@ -50,7 +50,8 @@ from gn0.training.sharding import gather_checkpoint
 from gn0.training.worlds import Lessons, load_held_out, load_lessons, open_card, wait_for_suites
 
 Examine = Callable[[], Mapping[str, float]]
-FREE = ("plan", "examined", "asked", "speed")  # of a job: what may differ where a run goes on
+# of a job: what may differ where a run goes on
+FREE = ("plan", "examined", "asked", "speed", "join_late")
 POLICY = "policy"  # folder of the trained policy in a run's
 
 

@@ -141,13 +141,18 @@ def load_held_out(suite: Path | str, splits: Sequence[str]) -> Lessons:
     return load_lessons(suite, splits, "--held-out '' examines in none")
 
 
+def is_whole(path: Path | str) -> bool:
+    """Whether a suite that is being made beside us is there: its folder comes last."""
+    return (Path(path) / SUITE_FILE).is_file()
+
+
 def wait_for_suites(
     paths: Sequence[Path | str], say: Callable[[str], None], patience: float = PATIENCE
 ) -> None:
     """Wait until suites that are being made beside us are whole.
 
     Args:
-        paths: their folders; a suite is whole once its folder is there.
+        paths: their folders.
         say: is told once what is waited for.
         patience: s without any of them becoming whole.
 
@@ -155,7 +160,7 @@ def wait_for_suites(
         TrainingError: nothing came for so long.
     """
     told, begun = False, time.monotonic()
-    missing = [path for path in paths if not (Path(path) / SUITE_FILE).is_file()]
+    missing = [path for path in paths if not is_whole(path)]
     while missing:
         if not told:
             say(f"waiting for {', '.join(map(str, missing))}")
@@ -167,7 +172,7 @@ def wait_for_suites(
                 remedy="make it, and give the same command again: it goes on from what was saved",
             )
         time.sleep(_POLL)
-        missing = [path for path in missing if not (Path(path) / SUITE_FILE).is_file()]
+        missing = [path for path in missing if not is_whole(path)]
 
 
 def open_card(device: Device | str = "auto") -> Device:

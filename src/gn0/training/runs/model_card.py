@@ -14,7 +14,7 @@ from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.storage import plain_path
 from gn0.training.runs.metrics_file import read_metrics
 from gn0.training.runs.run_folder import METRICS, RunRecord, read_run
-from gn0.training.runs.stage_chain import list_stages, shorten
+from gn0.training.runs.stage_chain import list_stages, name_data, shorten
 
 _HEAD = """---
 license: apache-2.0
@@ -143,7 +143,7 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
         ("began from", str(shorten(recipe.get("start") or "")) or
          f"random weights, size {recipe.get('size', 'not told')}"),
         ("seed", str(recipe.get("seed", "not told"))),
-        ("data", ", ".join(shorten(list(recipe.get("suites", ())))) or "not told"),
+        ("data", name_data(recipe, last)),
         ("splits", ", ".join(recipe.get("splits", ())) or "all"),
     ]  # fmt: skip
     if "samples" in last:

@@ -107,10 +107,23 @@ def shorten(value: Any) -> Any:
     return value
 
 
+def name_data(recipe: Mapping[str, Any], last: Mapping[str, Any]) -> str:
+    """What a run learned from, in words.
+
+    Args:
+        recipe: of the run.
+        last: what its last report tells; suites that did not come in time are not in it.
+    """
+    names = shorten(list(recipe.get("suites", ())))
+    joined = int(last.get("suites", len(names)))
+    told = ", ".join(names[:joined]) or "data not told"
+    return f"{told} ({', '.join(names[joined:])} came too late)" if names[joined:] else told
+
+
 def _tell(record: RunRecord, home: Path) -> StageTold:
     recipe, lines = record.recipe, read_metrics(home / METRICS)
     last = lines[-1] if lines else {}
-    told = [", ".join(shorten(list(recipe.get("suites", ())))) or "data not told"]
+    told = [name_data(recipe, last)]
     if "samples" in last:
         told.append(f"{int(last['samples']):,} samples in {int(last['step']):,} steps")
     if last.get("seconds"):

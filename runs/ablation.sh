@@ -31,6 +31,7 @@
 #             on 5e-4: what begins from weights alone is no fine-tuning)
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000); none: a leg of the chain begins with all of them
+#   JOIN_LATE  1: a leg does not wait for a lot that is late, but takes it up when it is there
 #   LOT_C     flats, apartments and houses of lot c (150 76 26)
 #   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins with lot c. Four
 #             numbers more add large apartments, medium residences, small offices and small corridors: 90 60 40 20 20 10 10
@@ -124,7 +125,12 @@ if [ -z "${JOINS:-}" ]; then  # what is beyond lot c joins with it: scenes open 
     for (k = 1; k <= lots; k++) printf "%s%s", (k > 1 ? "," : ""), at[k < count ? k : count]
   }')
 fi
-[ "$joins" = none ] || { AGAIN+=(--joins "$joins"); NEW+=(--joins "$joins"); }
+[ "$joins" = none ] || {
+  late=
+  [[ -z ${JOIN_LATE:-} || $joins != *,* ]] || late=--join-late
+  AGAIN+=(--joins "$joins" $late)
+  NEW+=(--joins "$joins" $late)
+}
 if [ -n "${SPEED:-}" ]; then
   for kind in SFT FIRST ROUND LIVE NEW; do
     declare -n flags=$kind

@@ -14,6 +14,7 @@
 #   FIGURE    that has the cards while homes are made (train.speed, which finds the speed of the leg where SPEED is not given)
 #   SECONDS_OF_FIGURE  that it may take at most (290)
 #   HOMES     lots that are made before it is trained (homes-a homes-exam); all others join later
+#   JOIN_LATE  empty: the leg waits for lots that are late; else it learns on meanwhile
 #   BESIDE    figures that the second card is given, one after another, while the first one trains (none)
 # A card that is no good for driven walks leaves a failed job: OUT/jobs/shipped-LEG.failed says why.
 set -uo pipefail
@@ -24,7 +25,7 @@ mkdir -p "$OUT/figures"
 OUT=$(cd "$OUT" && pwd)
 export PYTHON=${PYTHON:-python3} SIZE=${SIZE:-full} LEG=${LEG:-1} MINUTES=${MINUTES:-18} PYTHONUNBUFFERED=1
 export WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))}
-export LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
+export JOIN_LATE=${JOIN_LATE-1} LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
 FIGURE=${FIGURE:-train.speed} BESIDE=${BESIDE:-}
 if [ -n "${WHEELS:-}" ]; then
   WHEELS=$(cd "$WHEELS" && pwd)

@@ -432,8 +432,9 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
     out, told = tmp_path / "out", _pretend_python(tmp_path)
 
     def call(job: str, **more: str) -> str:
-        """The command line of its training."""
+        """The command line of its training, done before or not."""
         told.write_text("")
+        (out / "jobs" / f"{job}.done").unlink(missing_ok=True)
         subprocess.run(
             ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", job], capture_output=True,
             env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0", "LEG": "3",
@@ -449,11 +450,11 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
     assert 8 < float(leg.split("--minutes")[-1].split()[0]) <= 10
     assert trunk.split("--minutes")[-1].split()[0] == "9"
     assert (out / "runs/shipped").readlink() == Path("shipped-3")
-    for job in ("shipped-3", "maps-sft-0"):
-        (out / "jobs" / f"{job}.done").unlink()
     assert "--joins" not in call("shipped-3", JOINS="none")
+    assert "--join-late" in call("shipped-3", JOIN_LATE="1") and "--join-late" not in leg
+    assert "--join-late" not in call("maps-sft-0", JOIN_LATE="1")  # arms are the same anywhere
+    assert "--join-late" not in call("shipped-3", JOIN_LATE="1", JOINS="none")
     assert "--joins 0,500000,3000000 " in call("maps-sft-0", JOINS="none")
-    (out / "jobs" / "shipped-3.done").unlink()
     leg = call("shipped-3", LOT_D="", LOT_E="6 4 2 2 1 1 1", LEG_LOTS="a b e")
     assert " ".join(f"{out}/suites/{lot}" for lot in "abe") + " --live" in leg
     assert "--joins 0,500000,3000000 " in leg

@@ -125,12 +125,12 @@ if [ -z "${JOINS:-}" ]; then  # what is beyond lot c joins with it: scenes open 
     for (k = 1; k <= lots; k++) printf "%s%s", (k > 1 ? "," : ""), at[k < count ? k : count]
   }')
 fi
-[ "$joins" = none ] || {
-  late=
-  [[ -z ${JOIN_LATE:-} || $joins != *,* ]] || late=--join-late
-  AGAIN+=(--joins "$joins" $late)
-  NEW+=(--joins "$joins" $late)
-}
+if [ "$joins" != none ]; then
+  joining=(--joins "$joins")
+  [[ -z ${JOIN_LATE:-} || $joins != *,* ]] || joining+=(--join-late)  # of one lot, nothing joins
+  AGAIN+=("${joining[@]}")
+  NEW+=("${joining[@]}")
+fi
 if [ -n "${SPEED:-}" ]; then
   for kind in SFT FIRST ROUND LIVE NEW; do
     declare -n flags=$kind

@@ -105,9 +105,9 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
         check_joins(self.joins)
         if self.join_late and len(self.joins) == 1:
             raise ConfigError(
-                "suites that may be late, all of them from the first sample on",
+                "suites may be late, but joins has all of them from the first sample on",
                 where="join_late",
-                remedy="say when each joins (joins, as 0,500000), or leave it out",
+                remedy="give joins a number for each suite, as 0,500000, or leave join_late out",
             )
 
     @property

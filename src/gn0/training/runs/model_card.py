@@ -143,7 +143,7 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
         ("began from", str(shorten(recipe.get("start") or "")) or
          f"random weights, size {recipe.get('size', 'not told')}"),
         ("seed", str(recipe.get("seed", "not told"))),
-        ("data", name_data(recipe, last)),
+        ("data", name_data(recipe, last) or "not told"),
         ("splits", ", ".join(recipe.get("splits", ())) or "all"),
     ]  # fmt: skip
     if "samples" in last:

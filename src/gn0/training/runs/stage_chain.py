@@ -108,7 +108,7 @@ def shorten(value: Any) -> Any:
 
 
 def name_data(recipe: Mapping[str, Any], last: Mapping[str, Any]) -> str:
-    """What a run learned from, in words.
+    """What a run learned from, in words; nothing where that is not told.
 
     Args:
         recipe: of the run.
@@ -116,14 +116,14 @@ def name_data(recipe: Mapping[str, Any], last: Mapping[str, Any]) -> str:
     """
     names = shorten(list(recipe.get("suites", ())))
     joined = int(last.get("suites", len(names)))
-    told = ", ".join(names[:joined]) or "data not told"
+    told = ", ".join(names[:joined])
     return f"{told} ({', '.join(names[joined:])} came too late)" if names[joined:] else told
 
 
 def _tell(record: RunRecord, home: Path) -> StageTold:
     recipe, lines = record.recipe, read_metrics(home / METRICS)
     last = lines[-1] if lines else {}
-    told = [name_data(recipe, last)]
+    told = [name_data(recipe, last) or "data not told"]
     if "samples" in last:
         told.append(f"{int(last['samples']):,} samples in {int(last['step']):,} steps")
     if last.get("seconds"):

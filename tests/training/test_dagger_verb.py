@@ -330,7 +330,8 @@ def test_a_suite_that_is_late_joins_when_it_is_there(
     monkeypatch.setattr(imitation.Imitation, "_find_patience", lambda *_: 0.0)  # the rate falls
     assert main(_words((suite, second), tmp_path / "falling", *own)) == 0
     assert {line.get("suites", 1) for line in _read(tmp_path / "falling")} == {1}
-    assert "other-flat came too late" in _read_told(tmp_path / "falling")
+    told = _read_told(tmp_path / "falling")
+    assert told.startswith("…/suite-flat (…/suite-other-flat came too late); 32 samples")
     assert main(_words(suite, tmp_path / "one", *own[:5], "--join-late")) == 2
     assert "all of them from the first sample on" in capsys.readouterr().err
 

@@ -231,3 +231,30 @@ def test_the_card_has_a_table_of_walks_of_this_very_policy(run: Path, tmp_path: 
     assert "| 32 | 8 | 50.0 [" in rows[1] and "| 32 | 8 | 100.0 [" in rows[2]
     with pytest.raises(TrainingError, match="walks of another policy"):
         build_walks_table(folders, "00ff")
+
+
+def test_no_interval_of_a_card_is_below_nought_or_above_a_hundred(tmp_path: Path) -> None:
+    rows = []
+    for won in (1, 39):
+        about = WalksAbout(
+            suite="house", suite_hash="c0ffee", splits=(), episodes=40, episodes_hash="",
+            left_out=0, checkpoint="", weights="00", control="none", executed=3,
+            confirm_stop=False, agents=40, dtype="bfloat16", device="a card", version="0",
+        )  # fmt: skip
+        walks = [
+            Walk(
+                episode=f"e{number}", scene="home", path=f"p{number}", kind="goal", tier="",
+                steps=20, stopped=True, success=number < won, success_straight=False,
+                success_near=False, spl=0.0, spl_straight=0.0, spl_near=0.0, length=5.0,
+                shortest=4.0, left=1.0, left_straight=1.0, least=1.0, oracle=True, forwards=10,
+                cut_short=1, decisions=7,
+            )
+            for number in range(40)
+        ]  # fmt: skip
+        with open_walks(tmp_path / str(won), about) as kept:
+            kept.add(walks)
+            kept.finish([walk.episode for walk in walks])
+        table = build_walks_table([tmp_path / str(won)])
+        rows += [line for line in table.splitlines() if line.startswith("| house")][:1]
+    assert "| 40 | 1 | 2.5 [0.0 to " in rows[0]
+    assert "| 40 | 1 | 97.5 [" in rows[1] and " to 100.0]" in rows[1]

@@ -85,6 +85,7 @@ def _row(kind: str, walks: Sequence[Walk]) -> str:
     homes = [walk.scene for walk in walks]
     rate = estimate_mean(np.array([float(walk.success) for walk in walks]), homes, name=kind)
     shares = [f"{100 * means[name]:.1f}" for name in ("SPL", "OS", "SR_1m")]
-    span = f"{100 * rate.value:.1f} [{100 * rate.low:.1f} to {100 * rate.high:.1f}]"
+    low, high = max(0.0, rate.low), min(1.0, rate.high)  # of few walks it reaches beyond
+    span = f"{100 * rate.value:.1f} [{100 * low:.1f} to {100 * high:.1f}]"
     numbers = [kind, f"{len(walks)}", f"{len(set(homes))}", span, *shares, f"{means['NE']:.2f}"]
     return " | ".join([*numbers, f"{100 * means['cut_short']:.1f}"])

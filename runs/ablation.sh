@@ -15,7 +15,8 @@
 #   WHEELS    folder of wheels that a machine without a network lacks; they are unpacked into OUT/site, and gn0 itself is
 #             taken from this checkout
 #   EACH      cards of a trunk or a leg (all), so that two of them may be trained side by side
-#   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
+#   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU); 0,0,0 runs
+#             three jobs side by side on one, which walks have room for
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
 #   LEG_MINUTES  of a leg of the chain (as MINUTES); UNTIL: seconds since 1970 by which its training ends, whatever came
 #             before it took
@@ -26,7 +27,8 @@
 #   SEEDS     of the arms (0 1 2); episode RL has the first two
 #   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
 #   EPISODES  of an examination (all: 24 in each of 100 homes never seen)
-#   EXAMINED  walks of a training run's own examination, before it and after it (512; 0: its 4,096 states alone)
+#   EXAMINED  walks of a training run's own examination, before it and after it (512; 0: its 4,096 states alone, and of a
+#             leg none at all, so that it does not wait for homes never seen)
 #   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's; RATE of the legs, too (from the second
 #             on 5e-4: what begins from weights alone is no fine-tuning)
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
@@ -242,12 +244,13 @@ leg_minutes() { # flags of a leg's length
 }
 
 shipped() { # LEG: one policy for all inputs, live; goes on from the weights of the leg before, wherever they were made
-  local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy
+  local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy exam=(--exam "$OUT/suites/exam")
+  [ "${EXAMINED:-}" != 0 ] || exam=(--held-out "")
   [ "$leg" != "$LEG" ] || [ -z "$FROM" ] || start=$FROM
   if [ "$leg" = 1 ] && [ -z "$FROM" ]; then
-    train dagger "shipped-1" "${LEG_SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}" $(leg_minutes)
+    train dagger "shipped-1" "${LEG_SUITES[@]}" --live "${exam[@]}" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}" $(leg_minutes)
   else
-    train dagger "shipped-$leg" "${LEG_SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
+    train dagger "shipped-$leg" "${LEG_SUITES[@]}" --live --start "$start" "${exam[@]}" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
       "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to "${BETA_TO:-$((leg == 2 ? 2000000 : 1))}" $(leg_minutes))
   fi
   ln -sfn "shipped-$leg" "$OUT/runs/shipped"  # the last leg, whichever it is
@@ -336,7 +339,9 @@ SHARE=$(($(nproc) > ${#CARDS[@]} && ${#CARDS[@]} > 0 ? $(nproc) / ${#CARDS[@]} :
 ALL=${EACH:-$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))}  # cards of a trunk
 rest=$(printf ',homes-%s' "${LOTS[@]%% *}")
 rest=${rest:1}
-chain_rest=homes-exam$(printf ',homes-%s' $LEG_LOTS)
+chain_rest=$(printf ',homes-%s' $LEG_LOTS)
+chain_rest=${chain_rest:1}
+[ "${EXAMINED:-}" = 0 ] || chain_rest=homes-exam,$chain_rest
 
 arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
   local cell=$1 seed=$2
@@ -372,7 +377,8 @@ job untrained homes-exam 0 untrained
 # 2. never dropped: one cell with all its arms and controls, then the policy in the box, then the other seeds
 for input in "${INPUTS[@]}"; do arms "$input" "${SEEDS[0]}"; done
 for ((leg = LEG; leg <= LEGS; leg++)); do
-  before=homes-a,homes-exam  # all others join
+  before=homes-${LEG_LOTS%% *}  # all others join
+  [ "${EXAMINED:-}" = 0 ] || before+=,homes-exam
   [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$chain_rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
@@ -381,7 +387,7 @@ for ((leg = LEG > 2 ? LEG : 2; leg <= (LEGS < 3 ? LEGS : 3); leg++)); do
   job "legs$leg.known" "shipped-$leg,known" 1 walk "legs$leg-maps" "shipped-$leg" known val_unseen known
 done
 for input in all views maps; do
-  job "shipped-$input.walks" "shipped-$LEGS,$rest" 1 shipped_walks "shipped-$LEGS" "$input"
+  job "shipped-$input.walks" "shipped-$LEGS,homes-exam,homes-b${IMPORTED:+,imported}" 1 shipped_walks "shipped-$LEGS" "$input"
   job "shipped-$input.controls" "shipped-$LEGS,homes-exam" 1 shipped_controls "shipped-$LEGS" "$input"
   job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known $(asked_in "$input")
 done
@@ -529,6 +535,7 @@ begin() { # JOB CARDS: in a process group of its own
     if [ -n "$2" ]; then  # its share of the cores: four jobs that each took all of them opened 400 scenes in 190 s
       export NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-$SHARE} OMP_NUM_THREADS=${OMP_NUM_THREADS:-$SHARE}
     fi
+    [ -n "$2" ] || renice -n 10 -p "$BASHPID" > /dev/null 2>&1 || true  # homes give way to who learns
     set -euo pipefail
     ${DOES[$1]}
   ) >> "$OUT/log/$1" 2>&1 &
@@ -604,7 +611,7 @@ run_jobs() {
       begin "$name" "$taken"
     done
     [ ${#PID[@]} -gt 0 ] || break
-    sleep 0.5
+    sleep 0.1
   done
   for name in "${NAMES[@]}"; do
     [ -n "${CHOSEN[$name]:-}" ] && ! is_done "$name" || continue

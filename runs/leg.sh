@@ -11,9 +11,13 @@
 # Environment: that of runs/ablation.sh, and
 #   SIZE      full, or tiny
 #   MINUTES   of the leg at most (18); UNTIL: seconds since 1970 by which its training ends, whatever came before took
-#   FIGURE    that has the cards while homes are made (train.speed, which finds the speed of the leg where SPEED is not given)
+#   FIGURE    that has the cards while homes are made (train.speed, which finds the speed of the leg where SPEED is not given;
+#             empty: none)
 #   SECONDS_OF_FIGURE  that it may take at most (290)
-#   HOMES     lots that are made before it is trained (homes-a homes-exam); all others join later
+#   HOMES     lots that are made before it is trained (the first of LEG_LOTS, homes-a, and homes-exam but for EXAMINED=0);
+#             all others of LEG_LOTS join later
+#   EXAMS_UNTIL  seconds since 1970 until when the policy is examined after it was packed, with the walks of 'shipped-*'
+#             (empty: not); three examinations share a card. Walks that ended are packed, too
 #   JOIN_LATE  empty: the leg waits for lots that are late; else it learns on meanwhile
 #   BESIDE    figures that the second card is given, one after another, while the first one trains (none)
 # A card that is no good for driven walks leaves a failed job: OUT/jobs/shipped-LEG.failed says why.
@@ -26,7 +30,12 @@ OUT=$(cd "$OUT" && pwd)
 export PYTHON=${PYTHON:-python3} SIZE=${SIZE:-full} LEG=${LEG:-1} MINUTES=${MINUTES:-18} PYTHONUNBUFFERED=1
 export WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))}
 export JOIN_LATE=${JOIN_LATE-1} LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
-FIGURE=${FIGURE:-train.speed} BESIDE=${BESIDE:-}
+FIGURE=${FIGURE-train.speed} BESIDE=${BESIDE:-} EXAMS_UNTIL=${EXAMS_UNTIL:-}
+first=${LEG_LOTS:-a}
+HOMES=${HOMES:-homes-${first%% *} $([ "${EXAMINED:-}" = 0 ] || echo homes-exam)}
+LATER=("homes-*")  # made while it learns, those of the leg first
+[ -z "${LEG_LOTS:-}" ] || read -ra LATER <<< "$(printf 'homes-%s ' $LEG_LOTS)"
+[ -z "$EXAMS_UNTIL" ] || LATER+=(homes-exam homes-b known ${IMPORTED:+imported})
 if [ -n "${WHEELS:-}" ]; then
   WHEELS=$(cd "$WHEELS" && pwd)
   export WHEELS
@@ -56,13 +65,26 @@ beside() { # figures on the second card, each by itself: one that breaks off tak
   for one in $BESIDE; do "$PYTHON" -m gn0 figures "$one" --out "$OUT/figures/$one" > "$OUT/figures/$one.log" 2>&1; done
 }
 
+bring_home() {
+  POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack && cp -r "$OUT/figures" "$OUT/pack"
+}
+
+examine() { # until then, in all its ways, three walks a card side by side
+  local left=$((EXAMS_UNTIL - $(date +%s))) cards=${GPUS-} card thrice=
+  [ "$left" -gt 0 ] || return 0
+  [ -n "${GPUS+x}" ] || cards=$(nvidia-smi --query-gpu=index --format=csv,noheader 2> /dev/null | paste -sd, -) || cards=
+  for card in ${cards//,/ }; do thrice+=,$card,$card,$card; done
+  GPUS=${thrice#,} WALL=$(awk -v left="$left" 'BEGIN {print left / 60}') NUMBA_NUM_THREADS=4 \
+    runs/ablation.sh "$OUT" "$SIZE" 'shipped-*.walks' 'shipped-*.known' 'shipped-*.controls'
+}
+
 set -m  # all of it is one process group, which ends with this script
 {
   set +m
   # shellcheck disable=SC2086
-  runs/ablation.sh "$OUT" "$SIZE" ${HOMES:-homes-a homes-exam} &
+  runs/ablation.sh "$OUT" "$SIZE" $HOMES &
   homes=$!
-  [ -f "$OUT/figures/$FIGURE/figures.json" ] ||
+  [ -z "$FIGURE" ] || [ -f "$OUT/figures/$FIGURE/figures.json" ] ||
     timeout --foreground "${SECONDS_OF_FIGURE:-290}" "$PYTHON" -m gn0 figures "$FIGURE" --out "$OUT/figures/$FIGURE"
   SPEED=${SPEED:-$(quickest)}
   export SPEED
@@ -72,8 +94,13 @@ set -m  # all of it is one process group, which ends with this script
     export GPUS=0
     beside &
   fi
-  runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" 'homes-*' && POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack &&
-    cp -r "$OUT/figures" "$OUT/pack"
+  runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" "${LATER[@]}"
+  [ -f "$OUT/jobs/shipped-$LEG.done" ] || exit 1
+  bring_home || exit 1
+  if [ -n "$EXAMS_UNTIL" ]; then
+    examine
+    bring_home
+  fi
 } > >(tee "$OUT/leg.log") 2>&1 &
 leg=$!
 trap 'kill -- "-$leg" 2> /dev/null; wait; exit 130' INT TERM

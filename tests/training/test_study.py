@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import time
 import zipfile
 from dataclasses import asdict, replace
@@ -627,6 +628,54 @@ def test_a_leg_is_trained_at_the_quickest_speed_and_packed(tmp_path: Path) -> No
     assert called.index(trained) > max(map(called.index, before))
     pack = tmp_path / "out" / "pack"
     assert (pack / "policy").is_dir() and (pack / "figures/train.speed/figures.json").is_file()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_leg_of_its_own_homes_begins_with_the_first_and_is_examined_at_its_end(
+    tmp_path: Path,
+) -> None:
+    """Nothing waits for an exam; what is packed before it has the policy, and after it walks."""
+    python, out = tmp_path / "python", tmp_path / "out"
+    walked = """case "$3 $4" in "policy examine")
+  [ -d {out}/pack/policy ] && mkdir -p "$out" && echo walk > "$out/walks.jsonl" ;;
+esac
+"""
+    python.write_text(STAND_IN.format(python=sys.executable, folder=tmp_path)
+                      + walked.format(out=out))  # fmt: skip
+    python.chmod(0o755)
+    env = {**os.environ, "PYTHON": str(python), "SIZE": "tiny", "FIGURE": "", "LEG": "2",
+           "FROM": "there", "LOT_D": "2 0 0", "LOT_E": "1 1 0", "LEG_LOTS": "d e",
+           "EXAMINED": "0", "IMPORTED": "house"}  # fmt: skip
+    command = ["bash", str(ROOT / "runs/leg.sh"), str(out)]
+
+    def call(**more: str) -> list[str]:
+        (tmp_path / "log").write_text("")
+        done = subprocess.run(command, env={**env, **more}, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return (tmp_path / "log").read_text().splitlines()
+
+    called = call()
+    train = next(n for n, line in enumerate(called) if line.startswith("train dagger"))
+    assert f"{out}/suites/d {out}/suites/e --live --start there --held-out  --text" in called[train]
+    assert "--exam " not in called[train]
+    made = [re.search(r"--out \S+/suites/(\w+)", line) for line in called]
+    lots = {found[1]: n for n, found in enumerate(made) if found}
+    assert lots.keys() == {"d", "e"} and lots["d"] < train
+    assert not any(line.startswith(("figures", "policy examine")) for line in called)
+
+    called = call(EXAMS_UNTIL=str(int(time.time()) + 600))  # the leg is there, and not run again
+    assert not any(line.startswith("train") for line in called)
+    asked = [line for line in called if line.startswith("policy examine")]
+    ways = {(one.split("/walks/")[1].split()[0], "--control" in one) for one in asked}
+    exams = {(f"shipped-{way}/{exam}", False) for way in ("all", "maps", "views")
+             for exam in ("unseen", "seen", "known", "imported")}  # fmt: skip
+    controls = {(f"shipped-{way}-{control}/unseen", True) for way in ("all", "maps", "views")
+                for control in ("no_words", "shuffled")}  # fmt: skip
+    assert ways == exams | controls
+    with tarfile.open(out / "pack/tables.tar.gz.aa") as tables:
+        assert "./walks/shipped-maps/known/walks.jsonl" in tables.getnames()
+    assert not any(line.startswith("policy examine")
+                   for line in call(EXAMS_UNTIL=str(int(time.time()) - 1)))  # fmt: skip
 
 
 def _have_homes(out: Path, *lots: str) -> None:

@@ -46,6 +46,7 @@
 #   MIX       inputs of these legs, with their shares (all:0.5,views:0.3,maps:0.2); the next leg may have others:
 #             MIX=maps:1 runs/ablation.sh OUT full shipped-1, then without MIX, shipped-2
 #   BETA_TO   samples from which the policy alone drives in a leg that goes on (2000000 in the second, 1 in later ones)
+#   INSIDE    metres that labels of legs go into a room that is the goal (0)
 #   DRAW_AFTER  actions that lead nowhere after which answers are drawn in these legs, when it drives, too (6; 0: never)
 #   IMPORTED  folder of a world or scene that is an exam of its own
 #   POLICY    run whose weights are packed (the last leg that there is)
@@ -132,6 +133,10 @@ if [ "$joins" != none ]; then
   [[ -z ${JOIN_LATE:-} || $joins != *,* ]] || joining+=(--join-late)  # of one lot, nothing joins
   AGAIN+=("${joining[@]}")
   NEW+=("${joining[@]}")
+fi
+if [ -n "${INSIDE:-}" ]; then
+  AGAIN+=(--inside "$INSIDE")
+  NEW+=(--inside "$INSIDE")
 fi
 if [ -n "${SPEED:-}" ]; then
   for kind in SFT FIRST ROUND LIVE NEW; do

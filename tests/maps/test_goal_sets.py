@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gn0.errors import EpisodeError, PlanError
-from gn0.maps.goal_places import GoalSet
+from gn0.maps.goal_places import GoalSet, GoalSetInner
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
@@ -70,6 +70,48 @@ def test_a_way_to_a_set_ends_at_its_nearest_place_and_an_area_where_one_enters_i
     assert len(field.path(4.0, 4.0)) == 1, "who is inside has nowhere to go"
 
 
+@pytest.mark.parametrize("depth", [0.2, 0.5, 1.0])
+def test_an_inner_area_is_what_lies_so_far_behind_the_door(depth: float) -> None:
+    """Not so far from walls: whoever stands beside one need not come nearer to the middle."""
+    nav = two_rooms()
+    whole = nav.geodesic(GoalSet(areas=(RIGHT_ROOM,)))
+    inner = nav.geodesic(GoalSetInner(areas=(RIGHT_ROOM,), depth=depth))
+    assert whole.inside is not None and inner.inside is not None
+    assert not (inner.inside & ~whole.inside).any()
+    rows, cols = np.nonzero(whole.inside)
+    outside = np.argwhere(~nav.blocked & ~whole.inside)
+    away = np.array([np.hypot(*(outside - at).T).min() for at in zip(rows, cols, strict=True)])
+    assert np.array_equal(inner.inside[rows, cols], away * 0.05 >= depth)
+    assert inner.inside[nav.inflated.cell_of(4.9, 0.75)], "beside the wall"
+    x, y = inner.path(-0.5, 2.5)[-1]
+    assert 2.1 + depth - 0.11 <= x <= 2.1 + depth + 0.06 and y == pytest.approx(2.5, abs=0.26)
+    assert inner.distance_at(-0.5, 2.5) == pytest.approx(
+        whole.distance_at(-0.5, 2.5) + depth, abs=0.11
+    )
+
+
+def test_an_inner_area_is_as_deep_as_one_can_go_and_never_out_of_reach() -> None:
+    nav = two_rooms()
+    cells = nav.grid.cells.copy()
+    cells[:, 90:94] = 1  # only the first 1.3 m of the room are left, and a pocket behind a wall
+    shut = NavigationMap(OccupancyGrid(cells, 0.05, (-1.0, 0.5)), 0.15)
+    found = shut.geodesic(GoalSetInner(areas=(RIGHT_ROOM,), depth=2.0))
+    assert found.inside is not None and found.inside.any()
+    reached = shut.geodesic((-0.5, 2.5)).cells < np.inf
+    assert not (found.inside & ~reached).any()
+    nearest = shut.geodesic((1.9, 2.5)).cells[found.inside].min()
+    assert 0.9 <= nearest <= 1.3, "a quarter of 4 m is there"
+    slit = ((-0.9, 0.6), (-0.76, 0.6), (-0.76, 0.9), (-0.9, 0.9))
+    same = [nav.geodesic(goal).inside for goal in
+            (GoalSet(areas=(slit,)), GoalSetInner(areas=(slit,), depth=0.5))]  # fmt: skip
+    assert same[0] is not None and same[0].any()
+    assert same[1] is not None and same[1].any() and not (same[1] & ~same[0]).any()
+    everywhere = ((-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0))
+    found = nav.geodesic(GoalSetInner(areas=(everywhere,), depth=0.5))
+    assert np.array_equal(found.inside, ~nav.blocked)
+    assert nav.regions_of(GoalSetInner(areas=(RIGHT_ROOM,), depth=0.5)) == {0}
+
+
 @pytest.mark.parametrize(
     "goal",
     [GoalSet(points=((4.6, 1.0), (-0.5, 4.1))), GoalSet(areas=(RIGHT_ROOM,)), (4.6, 1.0)],
@@ -97,6 +139,9 @@ def test_goal_sets_that_make_no_sense_are_refused() -> None:
     ):
         with pytest.raises(EpisodeError):
             GoalSet(**bad)  # type: ignore[arg-type]
+    for deep in ({"points": ((0.0, 1.0),), "depth": 0.5}, {"areas": (RIGHT_ROOM,), "depth": 0.0}):
+        with pytest.raises(EpisodeError, match="to be entered"):
+            GoalSetInner(**deep)  # type: ignore[arg-type]
     with pytest.raises(PlanError, match="nor is any other"):
         nav.geodesic(GoalSet(points=((90.0, 0.0), (91.0, 0.0))))
     with pytest.raises(PlanError, match="area"):

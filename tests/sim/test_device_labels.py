@@ -13,6 +13,7 @@ from gn0.data.field_labels import label_poses
 from gn0.device.host import DeviceHost
 from gn0.errors import SimError
 from gn0.maps.field_expert import ROUNDING, label_field
+from gn0.maps.goal_places import GoalSetInner
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
@@ -87,6 +88,33 @@ def test_labels_are_those_of_the_cpu_wherever_agents_go(sliding: bool) -> None:
             said |= set(assert_same(env, ground)[:, 0].tolist())
         env.step(rng.choice(4, 12, p=(0.05, 0.65, 0.15, 0.15)))
     assert said == {0, 1, 2, 3}
+
+
+def test_labels_go_further_into_areas_where_they_are_told_to() -> None:
+    """STOP is that of the CPU, and behind the first free ground of the area."""
+    env, _ = build([build_floor_plan(0)], 6, AgentSpec())
+    deeper = [
+        replace(e, goal_set=GoalSetInner(areas=e.goal_set.areas, depth=0.5)) if e.in_area else e
+        for e in env.episodes
+    ]
+    env, ground = build([build_floor_plan(0)], 6, AgentSpec(), episodes=deeper)
+    env.reset(seed=1)
+    ended = 0
+    for _ in range(60):
+        labels = assert_same(env, ground)
+        for i in np.flatnonzero(labels[:, 0] == 0):
+            episode = env.episodes[int(env.simulator.outputs["episode"].numpy()[i])]
+            if not episode.in_area:
+                continue
+            ended += 1
+            own = type(episode.goal_set).__base__(areas=episode.goal_set.areas)
+            field = ground[episode.scene_id].geodesic(own)
+            outside = np.argwhere(~ground[episode.scene_id].blocked & ~field.inside)
+            centres = field.grid.centres_of(outside)
+            at = env.simulator.state["position"].numpy()[i]
+            assert np.hypot(*(centres - at).T).min() > 0.45
+        env.step(labels[:, 0].astype(np.int64))
+    assert ended
 
 
 @pytest.mark.parametrize("turn_degrees", [15.0, 30.0, 10.0])

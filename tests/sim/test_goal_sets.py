@@ -9,7 +9,7 @@ import pytest
 from gn0.bench.metrics import compute_metrics
 from gn0.data.expert_labels import LabelSettings, label_along, label_states, plan_expert
 from gn0.errors import EpisodeError
-from gn0.maps.goal_places import GoalSet
+from gn0.maps.goal_places import GoalSet, GoalSetInner
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.policies.oracle import PolicyOracle
@@ -73,6 +73,27 @@ def test_labels_lead_to_the_nearest_place_and_stop_inside_areas(
         assert (field.straight(np.column_stack([x, y])) <= 1e-5).all()
         again = label_states(navigation, episode, poses[-1:], settings)
         assert not again.actions6.any(), "who has arrived stays"
+
+
+@pytest.mark.parametrize("variant", ["exact", "field"])
+def test_who_is_taught_to_go_further_in_is_there_even_if_he_stops_a_step_before(
+    plan: tuple[Scene, NavigationMap, list[Episode]], variant: str
+) -> None:
+    """By the goal as it is; at its rim, without, the last step but one is outside."""
+    _, navigation, episodes = plan
+    settings = LabelSettings(variant=variant)  # type: ignore[arg-type]
+    inside: dict[bool, list[bool]] = {False: [], True: []}
+    for episode in (e for e in episodes if e.in_area):
+        assert episode.goal_set is not None
+        field = navigation.geodesic(episode.destination)
+        inner = GoalSetInner(areas=episode.goal_set.areas, depth=0.5)
+        for deep in inside:
+            taught = msgspec.structs.replace(episode, goal_set=inner) if deep else episode
+            poses, actions = plan_expert(navigation, taught, settings)
+            assert field.is_inside(*poses[-1, :2])
+            before = poses[np.flatnonzero(actions == 1)[-1], :2]
+            inside[deep].append(field.is_inside(*before))
+    assert inside[True] and all(inside[True]) and not any(inside[False])
 
 
 def test_an_environment_pays_for_stopping_inside_an_area_only(

@@ -456,6 +456,7 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
     assert "--join-late" not in call("maps-sft-0", JOIN_LATE="1")  # arms are the same anywhere
     assert "--join-late" not in call("shipped-3", JOIN_LATE="1", JOINS="none")
     assert "--join-late" not in call("shipped-3", JOIN_LATE="1", LEG_LOTS="a")
+    assert "--inside 0.5" in call("shipped-3", INSIDE="0.5") and "--inside" not in leg
     assert "--joins 0,500000,3000000 " in call("maps-sft-0", JOINS="none")
     leg = call("shipped-3", LOT_D="", LOT_E="6 4 2 2 1 1 1", LEG_LOTS="a b e")
     assert " ".join(f"{out}/suites/{lot}" for lot in "abe") + " --live" in leg

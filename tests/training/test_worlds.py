@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
+from gn0.cli.main import main
 from gn0.data.answer_form import AnswerForm
 from gn0.errors import BenchError, ConfigError, DeviceError, JobError, StorageError
+from gn0.maps.goal_places import GoalSetInner
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
+from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.suites.suite import save_suite
-from gn0.training import worlds
+from gn0.testing.scenes import with_goal_sets
+from gn0.training import dagger, dagger_live, sft, worlds
 from gn0.training.exams import examination, recurrent_examination
+from gn0.training.pupil import build_pupil
 from gn0.training.streams.live_counts import LiveCounts
 from gn0.training.worlds import (
     OpeningLine,
@@ -135,6 +142,60 @@ def test_texts_that_are_all_too_long_say_what_length_has_room(small_suite) -> No
     with pytest.raises(ConfigError, match="all 3 episodes say more than 0 tokens") as told:
         leave_out_long(lessons, pupil, print)
     assert "--text-length 16 " in told.value.remedy  # 7 are the prompt's, 9 the text's
+
+
+def test_lessons_lead_into_areas_as_far_as_they_are_told_to(small_suite) -> None:
+    """Nothing else about them changes, nor does what they are known by."""
+    whole = load_lessons(small_suite)
+    lessons = replace(whole, episodes=tuple(with_goal_sets(list(whole.episodes))))
+    assert lessons.into_areas(0.0) is lessons
+    deeper = lessons.into_areas(0.5)
+    assert deeper.hash == lessons.hash and deeper.texts == lessons.texts
+    areas = 0
+    for before, after in zip(lessons.episodes, deeper.episodes, strict=True):
+        if not before.in_area:
+            assert after is before
+            continue
+        areas += 1
+        assert after.goal_set == GoalSetInner(areas=before.goal_set.areas, depth=0.5)
+        assert msgspec.structs.replace(after, goal_set=before.goal_set) == before
+    assert areas
+
+
+def test_every_stage_that_is_told_labels_goes_into_areas(
+    tmp_path, monkeypatch, capsys, own_cache
+) -> None:
+    save_scene(replace(build_example_scene(), id="flat"), tmp_path / "flat")
+    scene = load_scene(tmp_path / "flat")
+    episodes = with_goal_sets(sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, 0))
+    folder = save_suite(tmp_path / "suite", [scene], episodes, name="one").folder
+    view = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
+    settings = PolicySettings(
+        prompt="short", pictures=("near", "far"), form=AnswerForm(layout="compact"), view=view
+    )
+    build_pupil("nano", settings, load_lessons(folder).texts).save(tmp_path / "start")
+    opened = []
+
+    def open_world(lessons, *_, **__):
+        opened.append(lessons)
+        raise ConfigError("that is enough")
+
+    common = [str(folder), "--split", "all", "--held-out", "", "--device", "host"]
+    for number, (module, words) in enumerate((
+        (sft, ["sft", *common, "--size", "nano", "--samples", "16"]),
+        (dagger, ["dagger", *common, "--start", str(tmp_path / "start")]),
+        (dagger_live, ["dagger", *common, "--start", str(tmp_path / "start"), "--live"]),
+    )):  # fmt: skip
+        monkeypatch.setattr(module, "open_world", open_world)
+        out = ["--out", str(tmp_path / f"out-{number}")]
+        assert main(["train", *words, "--inside", "0.75", *out]) == 2
+        assert "that is enough" in capsys.readouterr().err
+        depths = [getattr(one.goal_set, "depth", None) for one in opened[-1].episodes]
+        assert depths == [0.75 if one.in_area else None for one in episodes]
+        job = json.loads((tmp_path / f"out-{number}" / "run.json").read_text())["recipe"]
+        assert job["inside"] == 0.75
+    with pytest.raises(ConfigError, match="labels of a dataset"):
+        sft.SftJob(suites=("there",), source="dataset", settings=settings, inside=0.5)
 
 
 def test_a_card_has_map_pictures_drawn_ahead_and_goes_on_without(monkeypatch) -> None:

@@ -110,6 +110,8 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
         stop_weight: of an answer's first STOP; the recipe's when 0.
         agents: that gather states side by side.
         jitter: vary colour and light of the camera's pictures.
+        inside: where the goal is a room, metres behind its entrance where labels say STOP; 0: as
+            soon as one is in it, so that whoever errs by a hand's breadth stops before the door.
         speed: how steps are computed on a card, as words with commas between: blocks, whole or
             tuned; joined; narrow; beside. `gn0 figures train.speed` compares them; blocks by
             default.
@@ -126,6 +128,7 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
     stop_weight: Weight = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     jitter: bool = False
+    inside: Annotated[float, msgspec.Meta(ge=0, le=5)] = 0
     speed: str = ""
     fsdp: bool = False
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
@@ -135,7 +138,7 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
         """See `StageFlags`."""
         from gn0.training.recipe import parse_speed
 
-        names = ("text_length", "agents", "jitter", "workers")
+        names = ("text_length", "agents", "jitter", "inside", "workers")
         own = {name: getattr(self, name) for name in names}
         speed = parse_speed(split_words(self.speed), fsdp=self.fsdp)
         return {**super().list_job(), **own, "speed": speed}

@@ -17,7 +17,7 @@ from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.jit import njit
 from gn0.maps.astar import COL_STEP, MOVE_COST, ROW_STEP, build_moves
-from gn0.maps.goal_places import GoalSet
+from gn0.maps.goal_places import GoalSet, GoalSetInner
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.path_smoothing import follow_corners
 from gn0.maps.visibility import build_corners, build_runs, spread_distances
@@ -254,11 +254,33 @@ def _free_goals(grid: OccupancyGrid, goal: tuple[float, float] | GoalSet) -> F64
 
 
 def find_area(grid: OccupancyGrid, goal: GoalSet) -> NDArray[np.bool_]:
-    """The free cells [H, W] whose centres lie in an area of a goal set."""
+    """The free cells [H, W] whose centres lie in an area of a goal set, deep enough in it."""
     inside = np.zeros(grid.shape, np.bool_)
     cells = np.argwhere(grid.cells == FREE)
     found = cells[goal.cells_in(grid.centres_of(cells))]
     inside[found[:, 0], found[:, 1]] = True
+    return _deepen(grid, inside, goal.depth) if isinstance(goal, GoalSetInner) else inside
+
+
+def _deepen(grid: OccupancyGrid, inside: NDArray[np.bool_], depth: float) -> NDArray[np.bool_]:
+    """Those of the cells inside that are so far [m] from free ground outside, and reached from it.
+
+    Half as far where there are none, and so on; all of them where nothing is outside.
+    """
+    from scipy import ndimage  # only who learns asks for it
+
+    free = grid.cells == FREE
+    outside = free & ~inside
+    if not outside.any():
+        return inside
+    away = ndimage.distance_transform_edt(~outside) * grid.resolution
+    places, _ = ndimage.label(free)
+    reached = np.isin(places, np.unique(places[outside]))
+    while depth > grid.resolution:
+        deep = inside & reached & (away >= depth)
+        if deep.any():
+            return deep
+        depth /= 2
     return inside
 
 

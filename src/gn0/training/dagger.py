@@ -208,7 +208,8 @@ def _open_dataset(job: DaggerJob, pupil: Pupil, run: Imitation) -> Stream:
 
 def _open_walks(job: DaggerJob, pupil: Pupil, run: Imitation) -> StreamCollected:
     """Agents at the starts of episodes, and room for all states that they will see."""
-    lessons = leave_out_long(load_lessons(job.lots[0], job.splits), pupil, run.say)
+    every = load_lessons(job.lots[0], job.splits)
+    lessons = leave_out_long(every, pupil, run.say).into_areas(job.inside)
     world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say)
     states, seed = run.processes.share(job.whole), run.processes.seed(job.seed)
     steps = max(MOSAIC + 1, count_steps(states, job.agents))

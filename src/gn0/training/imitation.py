@@ -70,6 +70,8 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
         text_length: tokens of what an episode says, where later suites may say more than the first;
             longer ones are left out. 0: as many as the longest of all.
         jitter: whether colour and light of the camera's pictures vary (`PictureJitter`).
+        inside: metres behind the entrance of an area where labels say STOP; 0: as soon as one is
+            inside, which is what success asks for.
     """
 
     joins: tuple[int, ...] = (0,)
@@ -82,8 +84,15 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     jitter: bool = False
+    inside: Annotated[float, msgspec.Meta(ge=0, le=5)] = 0.0
 
     def __post_init__(self) -> None:
+        if self.inside and self.reads_dataset:
+            raise ConfigError(
+                "labels of a dataset say STOP where they were made to",
+                where="inside",
+                remedy="leave it out, or learn from suites",
+            )
         if self.recipe.lora and not self.start:
             raise ConfigError(
                 "adapters of a model of random weights",
@@ -196,7 +205,7 @@ class Imitation(StageRun):
             wait_for_suites(paths, self.say, self._find_patience(begun))
             begun.append(time.monotonic())
             every = load_lessons(paths, job.splits)
-            lessons = leave_out_long(every, pupil, self.say)
+            lessons = leave_out_long(every, pupil, self.say).into_areas(job.inside)
             seed = processes.seed(derive_seed(job.seed, "lot", number))
             return open_part(lessons, drawn, seed), every.hash
 

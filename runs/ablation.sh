@@ -392,7 +392,7 @@ for ((leg = LEG > 2 ? LEG : 2; leg <= (LEGS < 3 ? LEGS : 3); leg++)); do
   job "legs$leg.known" "shipped-$leg,known" 1 walk "legs$leg-maps" "shipped-$leg" known val_unseen known
 done
 for input in all views maps; do
-  job "shipped-$input.walks" "shipped-$LEGS,homes-exam,homes-b${IMPORTED:+,imported}" 1 shipped_walks "shipped-$LEGS" "$input"
+  job "shipped-$input.walks" "shipped-$LEGS,homes-exam,homes-b" 1 shipped_walks "shipped-$LEGS" "$input"
   job "shipped-$input.controls" "shipped-$LEGS,homes-exam" 1 shipped_controls "shipped-$LEGS" "$input"
   job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known $(asked_in "$input")
 done

@@ -678,6 +678,17 @@ esac
     assert not any(line.startswith("policy examine")
                    for line in call(EXAMS_UNTIL=str(int(time.time()) - 1)))  # fmt: skip
 
+    shutil.rmtree(out / "suites/imported")  # a house that could not be brought in stops no other
+    for name in ("imported.done", *(f"shipped-{way}.walks.done" for way in ("all", "views"))):
+        (out / "jobs" / name).unlink()
+    python.write_text(
+        python.read_text().replace("case", 'case "$3" in scene) exit 1 ;; esac\ncase', 1)
+    )
+    called = call(EXAMS_UNTIL=str(int(time.time()) + 600))
+    asked = [line.split("/walks/")[1].split()[0] for line in called if "policy examine" in line]
+    assert asked == [f"shipped-{way}/{exam}" for way in ("all", "views")
+                     for exam in ("unseen", "seen")]  # fmt: skip
+
 
 def _have_homes(out: Path, *lots: str) -> None:
     """Lots that were made before, and are there."""

@@ -13,7 +13,7 @@ from gn0.data.field_labels import label_poses
 from gn0.device.host import DeviceHost
 from gn0.errors import SimError
 from gn0.maps.field_expert import ROUNDING, label_field
-from gn0.maps.goal_places import GoalSetInner
+from gn0.maps.goal_places import GoalSet, GoalSetInner
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
@@ -107,7 +107,7 @@ def test_labels_go_further_into_areas_where_they_are_told_to() -> None:
             if not episode.in_area:
                 continue
             ended += 1
-            own = type(episode.goal_set).__base__(areas=episode.goal_set.areas)
+            own = GoalSet(areas=episode.goal_set.areas)
             field = ground[episode.scene_id].geodesic(own)
             outside = np.argwhere(~ground[episode.scene_id].blocked & ~field.inside)
             centres = field.grid.centres_of(outside)

@@ -263,25 +263,25 @@ def find_area(grid: OccupancyGrid, goal: GoalSet) -> NDArray[np.bool_]:
 
 
 def _deepen(grid: OccupancyGrid, inside: NDArray[np.bool_], depth: float) -> NDArray[np.bool_]:
-    """Those of the cells inside that are so far [m] from free ground outside, and reached from it.
+    """Those of the cells inside that are so far [m] from free ground outside.
 
-    Half as far where there are none, and so on; all of them where nothing is outside.
+    Half as far where there are none, and so on; in each piece of ground that hangs together, so
+    that whoever could get inside still can. A piece without anything outside is left as it is.
     """
     from scipy import ndimage  # only who learns asks for it
 
     free = grid.cells == FREE
     outside = free & ~inside
-    if not outside.any():
-        return inside
     away = ndimage.distance_transform_edt(~outside) * grid.resolution
-    places, _ = ndimage.label(free)
-    reached = np.isin(places, np.unique(places[outside]))
-    while depth > grid.resolution:
-        deep = inside & reached & (away >= depth)
-        if deep.any():
-            return deep
-        depth /= 2
-    return inside
+    pieces, _ = ndimage.label(free)
+    deep = inside.copy()
+    for piece in np.intersect1d(pieces[inside], pieces[outside]).tolist():
+        mine = inside & (pieces == piece)
+        least = depth
+        while not (mine & (away >= least)).any():
+            least /= 2
+        deep &= ~mine | (away >= least)
+    return deep
 
 
 def _enter_areas(grid: OccupancyGrid, goal: GoalSet) -> tuple[NDArray[np.bool_], F64]:

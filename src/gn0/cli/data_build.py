@@ -48,6 +48,8 @@ class Args(Config, frozen=True):
         labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), as
             the official release labels (gn0-release), or one step ahead on the distance field,
             quickly (field).
+        inside: where the goal is a room, metres behind its entrance where labels say STOP; 0: as
+            soon as one is in it.
         tokens: what map tokens refer to: the whole map, or a square around the agent.
         answer_order: what comes first where the dataset's answers are written as text: the actions,
             or the waypoints, as in the paper's prompts (paper).
@@ -78,6 +80,7 @@ class Args(Config, frozen=True):
     depth: bool = False
     depth_as: Literal["png", "npy", "both"] = "npy"
     labels: Literal["exact", "mpc", "gn0-release", "field"] = "exact"
+    inside: Annotated[float, msgspec.Meta(ge=0, le=5)] = 0
     tokens: Literal["global", "ego"] = "global"
     answer_order: Literal["paper", "actions_first"] = "actions_first"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
@@ -122,7 +125,7 @@ def run(args: Args) -> int:
         say_backend(args.backend)
     settings = BuildSettings(
         tokens=TokenSettings(frame=args.tokens, order=args.answer_order),
-        labels=LabelSettings(variant=args.labels),
+        labels=LabelSettings(variant=args.labels, inside=args.inside),
         chunk=args.chunk,
         pictures=pictures,
     )

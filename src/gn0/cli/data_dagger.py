@@ -45,6 +45,8 @@ class Args(Config, frozen=True):
         labels: how actions are labelled: exact, mpc, gn0-release, or field; by default exact, or
             gn0-release with that halting rule. own: with what the policy itself did next, so that
             its walks are demonstrations (--beta 0 --halting none).
+        inside: where the goal is a room, metres behind its entrance where labels say STOP, and
+            where the policy has arrived; 0: as soon as it is in it.
         tokens: what map tokens refer to: the whole map (global) or a square around the agent.
         answer_order: what comes first where the dataset's answers are written as text: the actions,
             or the waypoints, as in the paper's prompts (paper).
@@ -79,6 +81,7 @@ class Args(Config, frozen=True):
     iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
     halting: Literal["paper", "gn0-release", "none"] = "paper"
     labels: Literal["", "exact", "mpc", "gn0-release", "field", "own"] = ""
+    inside: Annotated[float, msgspec.Meta(ge=0, le=5)] = 0
     tokens: Literal["global", "ego"] = "global"
     answer_order: Literal["paper", "actions_first"] = "actions_first"
     pictures: Literal["webdataset", "lerobot", "none"] = "none"
@@ -120,7 +123,7 @@ def run(args: Args) -> int:
         suite = open_suite(args.suite, beside=f"{args.out.rstrip('/')}-episodes")
         settings = BuildSettings(
             tokens=TokenSettings(frame=args.tokens, order=args.answer_order),
-            labels=LabelSettings(variant=_label_variant(args)),
+            labels=LabelSettings(variant=_label_variant(args), inside=args.inside),
             chunk=args.chunk,
             pictures=with_backend(PictureSettings(layout=args.pictures), args.backend),
             dagger=DaggerSettings(

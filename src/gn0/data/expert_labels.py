@@ -61,6 +61,8 @@ class LabelSettings(Config, frozen=True):
         horizon: actions that `mpc` looks ahead.
         discount: γ of `mpc`.
         release_stop: where `gn0-release` says STOP, as the crow flies [m].
+        inside: where the goal is an area, how far behind its entrance it begins [m]; unset in files
+            where it is 0.
     """
 
     variant: LabelVariant = "exact"
@@ -69,6 +71,16 @@ class LabelSettings(Config, frozen=True):
     horizon: Annotated[int, msgspec.Meta(ge=6, le=14)] = 8
     discount: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.95
     release_stop: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
+    inside: Annotated[float, msgspec.Meta(ge=0, le=5)] | msgspec.UnsetType = msgspec.UNSET
+
+    def __post_init__(self) -> None:
+        if self.inside == 0:  # one way to say it
+            msgspec.structs.force_setattr(self, "inside", msgspec.UNSET)
+
+    @property
+    def depth(self) -> float:
+        """How far behind its entrance an area begins [m]."""
+        return 0.0 if self.inside is msgspec.UNSET else self.inside
 
 
 EXACT = LabelSettings()

@@ -191,7 +191,7 @@ def collect_part(
     for episode in episodes:
         try:
             check_places(navigation, episode, dataset.about.agent.radius)
-            fitting.append(episode)
+            fitting.append(episode.into_area(dataset.about.settings.labels.depth))
         except (EpisodeError, PlanError) as error:
             found[episode.id] = error
     walked = (

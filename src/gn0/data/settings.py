@@ -175,3 +175,11 @@ class BuildSettings(Config, frozen=True):
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     pictures: PictureSettings = PictureSettings()
     dagger: DaggerSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.dagger is not None and self.dagger.demonstrate and self.labels.depth:
+            raise ConfigError(
+                "a demonstration ends where the policy stopped, not further in",
+                where="--labels own",
+                remedy="leave out --inside",
+            )

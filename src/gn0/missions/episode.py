@@ -11,7 +11,7 @@ import msgspec
 
 from gn0.errors import EpisodeError, brief
 from gn0.geometry import Pose2D
-from gn0.maps.goal_places import GoalSet
+from gn0.maps.goal_places import GoalSet, GoalSetInner
 from gn0.missions.people import check_people_of
 from gn0.paper import BODY_RADIUS, EYE_HEIGHT, FORWARD_STEP, TURN_DEGREES
 from gn0.people.person import PEOPLE_MOST, EpisodePerson
@@ -304,6 +304,13 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
     def in_area(self) -> bool:
         """Whether the goal is an area: only who stands inside it is there, at no distance."""
         return self.goal_set is not None and bool(self.goal_set.areas)
+
+    def into_area(self, depth: float) -> Episode:
+        """The same, but that one is in its area only so far behind the entrance [m]; 0: at once."""
+        if not depth or self.goal_set is None or not self.goal_set.areas:
+            return self
+        inner = GoalSetInner(areas=self.goal_set.areas, depth=depth)
+        return msgspec.structs.replace(self, goal_set=inner)
 
     def success_within(self, radius: float) -> float:
         """Distance to the goal [m] below which, strictly, STOP is a success.

@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypedDict
 
-import msgspec
-
 from gn0.counted import counted
 from gn0.device.device import Device
 from gn0.device.libcuda import CPU
 from gn0.device.open import open_device
 from gn0.errors import ConfigError, DeviceError, Gn0Error, TrainingError
-from gn0.maps.goal_places import GoalSetInner
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES, PolicySettings
 from gn0.progress import Progress
@@ -87,19 +84,12 @@ class Lessons:
         """The same, but that one is in an area only so far behind its entrance [m]; 0: at once."""
         if not depth:
             return self
-        return replace(self, episodes=tuple(_go_into(one, depth) for one in self.episodes))
+        return replace(self, episodes=tuple(one.into_area(depth) for one in self.episodes))
 
     @property
     def hash(self) -> str:
         """Digest of suites and splits."""
         return content_hash(*(suite.hash for suite in self.suites), *self.splits)
-
-
-def _go_into(episode: Episode, depth: float) -> Episode:
-    if episode.goal_set is None or not episode.in_area:
-        return episode
-    inner = GoalSetInner(areas=episode.goal_set.areas, depth=depth)
-    return msgspec.structs.replace(episode, goal_set=inner)
 
 
 def load_lessons(

@@ -36,7 +36,8 @@
 #   JOIN_LATE  1: a leg does not wait for a lot that is late, but takes it up when it is there
 #   LOT_C     flats, apartments and houses of lot c (150 76 26)
 #   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins with lot c. Four
-#             numbers more add large apartments, medium residences, small offices and small corridors: 90 60 40 20 20 10 10
+#             numbers more add large apartments, medium residences, small offices and small corridors: 90 60 40 20 20 10 10,
+#             and two more medium apartments and small residences of an open plan
 #   LOT_E     another such lot, of other homes (none)
 #   LEG_LOTS  lots that these legs learn in (a b c, and d and e where there are such), as "a b e"
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
@@ -283,7 +284,7 @@ legs_walks() { # LEG: on one input
   for one in no_words shuffled; do walk "$name-$one" "$run" exam val_unseen unseen --control "$one"; done
 }
 
-lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS]
+lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS OPEN_HOMES OPEN_HOUSES]
   local spec=$OUT/specs/$1.yaml
   [ ! -f "$OUT/suites/$1/manifest.json" ] || return 0
   {
@@ -297,6 +298,8 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS]
     part "$1-villa" "${7:-0}" "kind: residence, size: medium"
     part "$1-office" "${8:-0}" "kind: office, size: small"
     part "$1-corridor" "${9:-0}" "kind: corridor, size: small"
+    part "$1-open" "${10:-0}" "kind: apartment, size: medium, open_plan: true"
+    part "$1-loft" "${11:-0}" "kind: residence, size: small, open_plan: true"
   } > "$spec"
   export NUMBA_NUM_THREADS=1
   local skip=  # one home less to learn in is no harm; the exam is what it is said to be

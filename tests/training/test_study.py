@@ -25,6 +25,7 @@ import gn0
 from gn0.bench.runner import run_suite
 from gn0.cli.main import main
 from gn0.errors import ConfigError, FormatError, TrainingError
+from gn0.scenes.corpus import load_spec
 from gn0.training.exams.walks import Walk
 from gn0.training.exams.walks_folder import WalksAbout
 from gn0.training.runs.run_folder import RunRecord, RunSession
@@ -458,7 +459,7 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
     assert "--join-late" not in call("shipped-3", JOIN_LATE="1", LEG_LOTS="a")
     assert "--inside 0.5" in call("shipped-3", INSIDE="0.5") and "--inside" not in leg
     assert "--joins 0,500000,3000000 " in call("maps-sft-0", JOINS="none")
-    leg = call("shipped-3", LOT_D="", LOT_E="6 4 2 2 1 1 1", LEG_LOTS="a b e")
+    leg = call("shipped-3", LOT_D="", LOT_E="6 4 2 2 1 1 1 3 2", LEG_LOTS="a b e")
     assert " ".join(f"{out}/suites/{lot}" for lot in "abe") + " --live" in leg
     assert "--joins 0,500000,3000000 " in leg
     made = [line for line in told.read_text().splitlines() if " scene corpus " in line]
@@ -470,6 +471,9 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
         ("apartment", "large", "2"), ("residence", "medium", "1"), ("office", "small", "1"),
         ("corridor", "small", "1"),
     ]  # fmt: skip
+    opened = re.findall(r"kind: (\w+), size: (\w+), open_plan: true, count: (\d+)", spec)
+    assert opened == [("apartment", "medium", "3"), ("residence", "small", "2")]
+    assert sum(part.count for part in load_spec(out / "specs/e.yaml").parts) == 22
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

@@ -24,6 +24,7 @@ EXAMPLES = f"""  gn0 scene generate --kind apartment --seed 7 --out out/flat
   gn0 scene generate --seed 11 --size large --density 20000 --out out/sharp
   gn0 scene generate --seed 3 --size small --density 5000 --light draft --out out/quick
   gn0 scene generate --seed 7 --density 20000 --refine --out out/photo
+  gn0 scene generate --kind residence --seed 5 --open-plan --light draft --out out/open
   gn0 scene generate --kind office --seed 1 --light draft --out out/office
   gn0 scene generate --kind corridor --seed 4 --size large --packed --out out/school
   gn0 scene generate --seed 3 --light draft --as-capture --capture-scale 0.4 --out scan.splat
@@ -46,6 +47,7 @@ class Args(Config, frozen=True):
         light: normal, or draft for a quicker bake.
         refine: fit the Gaussians to ray-traced pictures: 34 dB instead of 26 at density 20000, but
             a quarter of an hour or more.
+        open_plan: an apartment or a residence with next to no walls between its day rooms.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
         as_capture: write a bare splat file instead of a scene folder, like a scan: no map,
@@ -64,6 +66,7 @@ class Args(Config, frozen=True):
     density: Annotated[float, msgspec.Meta(ge=5000, le=20000)] | None = None
     light: Literal["normal", "draft"] = "normal"
     refine: bool = False
+    open_plan: bool = False
     packed: bool = False
     overwrite: bool = False
     as_capture: bool = False
@@ -94,6 +97,7 @@ def run(args: Args) -> int:
         light=args.light,
         cloud_form="packed" if args.packed else "exact",
         refine=args.refine,
+        open_plan=args.open_plan,
     )
     if args.as_capture:
         _write_capture(args, settings)

@@ -41,7 +41,7 @@ class CorpusPart(Config, frozen=True):
         path: files to import instead: a scene folder, InteriorGS folder, world or splat file;
             relative to the spec, `$NAME` is taken from the environment.
         count: how many generated scenes.
-        size, style, density, light, refine, packed: see `GenerateSettings`.
+        size, style, density, light, refine, packed, open_plan: see `GenerateSettings`.
         height_band: of an import [m]; see `ImportSettings`.
         split: split of all its scenes; dealt by the spec's shares when None.
         name: beginning of the ids; the kind, or the name of the path.
@@ -59,6 +59,11 @@ class CorpusPart(Config, frozen=True):
     height_band: tuple[float, float] | None = None
     split: SplitName | None = None
     name: str = ""
+    open_plan: bool | msgspec.UnsetType = msgspec.UNSET  # unset: digests are what they were
+
+    def __post_init__(self) -> None:
+        if self.open_plan is False:  # one way to say it
+            msgspec.structs.force_setattr(self, "open_plan", msgspec.UNSET)
 
 
 class CorpusHeldOut(Config, frozen=True):
@@ -180,6 +185,13 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
                 f"no kind of building {part.kind!r}",
                 where=where,
                 remedy=f"known: {', '.join(KINDS)}",
+            )
+        if part.open_plan and not (part.kind and KINDS[part.kind].opens):
+            homes = [name for name, kind in KINDS.items() if kind.opens]
+            raise ConfigError(
+                f"no open plan for {part.kind or 'an import'}",
+                where=where,
+                remedy=f"leave out open_plan, or give one of {', '.join(homes)}",
             )
         if part.path and part.count != 1:
             raise ConfigError(

@@ -203,6 +203,7 @@ def build_corpus_scene(
                 "refine": part.refine,
                 "cloud_form": "packed" if part.packed else "exact",
                 "without": payload["without"],
+                "open_plan": part.open_plan is True,
             },
             GenerateSettings,
         )

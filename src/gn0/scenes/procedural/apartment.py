@@ -18,7 +18,11 @@ NEEDED = {
 
 
 def draft_apartment(
-    seed: int, *, size: str = "medium", style: str | Palette | None = None
+    seed: int,
+    *,
+    size: str = "medium",
+    style: str | Palette | None = None,
+    open_plan: bool = False,
 ) -> SceneDraft:
     """A furnished flat: geometry, materials, objects, rooms and lamps, before light.
 
@@ -26,11 +30,12 @@ def draft_apartment(
         seed: of everything; the same seed gives the same flat.
         size: "small", "medium" or "large" (see `plan.SIZES`).
         style: name of one of `palette.STYLES`; drawn when None.
+        open_plan: see `plan_apartment`.
 
     Raises:
         SceneError: an unknown style, or no walkable flat was found (not known to happen).
     """
     palette = choose_palette("apartment", seed, style)
-    plan = plan_apartment(seed, size)
+    plan = plan_apartment(seed, size, open_plan=open_plan)
     flat = Building("apartment", seed, plan, palette, furnish_room, needed=NEEDED)
     return flat.draft()

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from gn0.config import Config, check_config
+from gn0.errors import ConfigError
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
@@ -35,6 +36,7 @@ class GenerateSettings(Config, frozen=True):
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         refine: fit the Gaussians to ray-traced pictures: sharper outlines, minutes of work.
         without: forms of furniture that it goes without, as "seats/chair/2"; see `forms.FORMS`.
+        open_plan: an apartment or a residence with next to no walls between its day rooms.
     """
 
     kind: KindName = "apartment"
@@ -46,6 +48,16 @@ class GenerateSettings(Config, frozen=True):
     cloud_form: CloudForm = "exact"
     refine: bool = False
     without: tuple[str, ...] = ()
+    open_plan: bool = False
+
+    def __post_init__(self) -> None:
+        if self.open_plan and not KINDS[self.kind].opens:
+            homes = [name for name, kind in KINDS.items() if kind.opens]
+            raise ConfigError(
+                f"no {self.kind} is of another plan than its own",
+                where="open_plan",
+                remedy=f"leave it out, or choose one of {', '.join(homes)}",
+            )
 
 
 def build_generated(
@@ -64,7 +76,8 @@ def build_generated(
     style: str | Palette | None = settings.style
     if settings.without:
         style = choose_palette(settings.kind, settings.seed, style, settings.without)
-    draft = kind.draft(settings.seed, size=settings.size, style=style)
+    opened = {"open_plan": True} if settings.open_plan else {}
+    draft = kind.draft(settings.seed, size=settings.size, style=style, **opened)
     progress("furnishing", 1, 1)
     progress("mapping", 0, 1)
     grid = build_occupancy(draft.mesh)
@@ -98,6 +111,7 @@ def build_generated(
                 "height_band_high": BAND[1],
                 "resolution": RESOLUTION,
                 **({"without": ", ".join(settings.without)} if settings.without else {}),
+                **opened,
             },
             label_source="generated",
         ),

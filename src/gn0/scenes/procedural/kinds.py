@@ -1,7 +1,7 @@
 """The kinds of building that can be generated, one row each.
 
-A kind is a function `draft_<kind>(seed, *, size, style) -> SceneDraft`; everything after the
-draft (occupancy, light, Gaussians, files) is the same for all.
+A kind is a function `draft_<kind>(seed, *, size, style) -> SceneDraft`, with `open_plan` where its
+row says so; everything after the draft (occupancy, light, Gaussians, files) is the same for all.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ class SceneKind:
         density: Gaussians per m² of floor when nobody says otherwise: fewer for halls, where
             there is more to cover and most of it is further away.
         about: what it is, in a few words.
+        opens: whether it can have an open plan.
     """
 
     drafter: str
@@ -38,6 +39,7 @@ class SceneKind:
     areas: tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
     density: float
     about: str
+    opens: bool = False
 
     @property
     def draft(self) -> Callable[..., SceneDraft]:
@@ -55,7 +57,12 @@ class SceneKind:
 
 KINDS: dict[KindName, SceneKind] = {
     "apartment": SceneKind(
-        "apartment:draft_apartment", 1, ((46, 62), (62, 95), (95, 135)), 10_000, "a furnished flat"
+        "apartment:draft_apartment",
+        1,
+        ((46, 62), (62, 95), (95, 135)),
+        10_000,
+        "a furnished flat",
+        opens=True,
     ),
     "residence": SceneKind(
         "residence:draft_residence",
@@ -63,6 +70,7 @@ KINDS: dict[KindName, SceneKind] = {
         ((112, 134), (134, 166), (166, 215)),
         10_000,
         "a large home: several bedrooms and baths, dining room, study, laundry",
+        opens=True,
     ),
     "office": SceneKind(
         "office:draft_office",

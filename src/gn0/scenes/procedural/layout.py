@@ -22,6 +22,7 @@ CELL = 0.05  # m, raster of the passage check
 PASSAGE_RADIUS = 0.33  # half the clear way between the doors of a room [m]
 REACH_RADIUS = 0.24  # half the way to the front of a piece of furniture [m]
 POCKET = 0.25  # m² of floor that furniture may cut off
+LANE = 1.6  # m kept free in an opening as wide as its wall
 DOOR_DEPTH = 0.7  # clear depth before a door [m]
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1 [m]
@@ -81,7 +82,10 @@ class RoomLayout:
             for a, b, bottom, _, opening in side.openings:
                 if bottom > 0:
                     continue
-                self.keep.append(self.strip(side, a - 0.05, b + 0.05, DOOR_DEPTH))
+                low, high = a - 0.05, b + 0.05
+                if opening.kind == "open":  # a lane through it will do
+                    low, high = max((a + b - LANE) / 2, low), min((a + b + LANE) / 2, high)
+                self.keep.append(self.strip(side, low, high, DOOR_DEPTH))
                 if opening.kind != "entrance" or not self.targets:
                     x, y = side.point((a + b) / 2, 0.4)
                     self.targets.append((x, y))

@@ -13,6 +13,7 @@ from gn0.seeds import random_stream
 INNER_WALL = 0.12  # m
 OUTER_WALL = 0.24
 DOOR_HEIGHT = 2.05
+OPEN_SHARE = 0.94  # of the wall between two day rooms of an open plan that is not there
 SIZES = {"small": (46.0, 62.0), "medium": (62.0, 95.0), "large": (95.0, 135.0)}  # m² of floor
 
 
@@ -54,7 +55,8 @@ class Opening:
     """A door, open passage or window in an axis-parallel wall.
 
     Attributes:
-        kind: "door", "passage", "entrance" or "window".
+        kind: "door", "passage", "open" (most of a wall; furniture may stand there), "entrance" or
+            "window".
         axis: "x" when the wall runs along x (normal ±y), "y" when it runs along y.
         at: position of the wall's centre line on the other axis [m].
         low, high: extent along the wall [m].
@@ -120,6 +122,7 @@ class FloorPlan:
         return sum(room.area for room in self.rooms)
 
 
+OPEN_PAIRS = ({"kitchen", "living room"}, {"living room", "hallway"})
 Cell = tuple[str, float, float, float, float]  # type, x0, y0, x1, y1 on wall centre lines [m]
 
 
@@ -131,7 +134,7 @@ def _split(
     return [round(float(v), 2) for v in np.cumsum(raw / raw.sum() * total)]
 
 
-def plan_apartment(seed: int, size: str = "medium") -> FloorPlan:
+def plan_apartment(seed: int, size: str = "medium", *, open_plan: bool = False) -> FloorPlan:
     """A floor plan of four to eight rooms.
 
     A day block (living room, kitchen) lies across the end of a hall; bedrooms, bath and study
@@ -140,16 +143,17 @@ def plan_apartment(seed: int, size: str = "medium") -> FloorPlan:
     Args:
         seed: of all choices.
         size: "small", "medium" or "large": 46–62, 62–95, 95–135 m².
+        open_plan: next to nothing is left of the walls between kitchen, living room and hall.
     """
     low, high = SIZES[size]
     for attempt in range(60):
-        plan = _draw_plan(random_stream(seed, "plan", size, attempt), size)
+        plan = _draw_plan(random_stream(seed, "plan", size, attempt), size, open_plan)
         if plan is not None and low <= plan.area <= high:
             return plan
     return plan if plan is not None else _draw_plan(random_stream(0, "plan"), "medium")  # type: ignore[return-value]
 
 
-def _draw_plan(rng: np.random.Generator, size: str) -> FloorPlan | None:
+def _draw_plan(rng: np.random.Generator, size: str, open_plan: bool = False) -> FloorPlan | None:
     widths = {"bedroom": 3.5, "bathroom": 2.15, "study": 2.8, "kitchen": 3.2, "storage": 1.7}
     if size == "small":
         north, south = ["bathroom", "bedroom"], list[str]()
@@ -221,10 +225,10 @@ def _draw_plan(rng: np.random.Generator, size: str) -> FloorPlan | None:
         if turn:
             x0, y0, x1, y1 = y0, x0, y1, x1
         placed.append((name, round(x0, 3), round(y0, 3), round(x1, 3), round(y1, 3)))
-    return _close_plan(rng, placed)
+    return _close_plan(rng, placed, open_plan)
 
 
-def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None:
+def _close_plan(rng: np.random.Generator, cells: list[Cell], open_plan: bool) -> FloorPlan | None:
     """Walls, doors and windows of rooms given on wall centre lines."""
     order = [
         *("living room", "kitchen", "hallway", "bedroom", "bathroom", "study", "storage"),
@@ -240,7 +244,7 @@ def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None
     if min(min(r.width, r.depth) for r in rooms) < 1.25:
         return None
     plan = FloorPlan(tuple(rooms), tuple(walls), (), round(float(rng.uniform(2.5, 2.75)), 2))
-    doors = _cut_doors(rng, plan)
+    doors = _cut_doors(rng, plan, open_plan)
     if doors is None:
         return None
     windows = _cut_windows(rng, plan)
@@ -350,7 +354,7 @@ def clear_span(plan: FloorPlan, wall: Wall) -> tuple[float, float]:
     return low, high
 
 
-def _cut_doors(rng: np.random.Generator, plan: FloorPlan) -> list[Opening] | None:
+def _cut_doors(rng: np.random.Generator, plan: FloorPlan, open_plan: bool) -> list[Opening] | None:
     """Doors from the hall to every room that it touches, and from kitchen to living room."""
     types = {room.id: room.type for room in plan.rooms}
     wanted: list[tuple[str, str]] = []
@@ -383,9 +387,21 @@ def _cut_doors(rng: np.random.Generator, plan: FloorPlan) -> list[Opening] | Non
         low, high = clear_span(plan, wall)
         if high - low < 1.25:
             continue
-        doors.append(_cut_door(rng, plan, wall, low, high, {types[a], types[b]}))
+        door = _cut_door(rng, plan, wall, low, high, {types[a], types[b]})
+        if open_plan and {types[a], types[b]} in OPEN_PAIRS:
+            door = open_wall(plan, door, low, high)
+        doors.append(door)
     entrance = _cut_entrance(rng, plan, hall)
     return None if entrance is None else [*doors, entrance]
+
+
+def open_wall(plan: FloorPlan, opening: Opening, low: float, high: float) -> Opening:
+    """The opening in the place of nearly all of the wall, from low to high [m]."""
+    left = (1 - OPEN_SHARE) / 2 * (high - low)
+    return replace(
+        opening, kind="open", low=round(low + left, 3), high=round(high - left, 3),
+        top=round(plan.ceiling - 0.05, 3), leaf=None,
+    )  # fmt: skip
 
 
 def _cut_door(
@@ -393,7 +409,7 @@ def _cut_door(
 ) -> Opening:
     a, b = wall.rooms
     assert a is not None and b is not None
-    open_pair = pair in ({"kitchen", "living room"}, {"living room", "hallway"})
+    open_pair = pair in OPEN_PAIRS
     passage = open_pair and rng.random() < 0.6
     width = float(rng.uniform(0.86, 0.95))
     if passage:

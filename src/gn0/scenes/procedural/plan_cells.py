@@ -33,7 +33,7 @@ class Joint:
     """How two neighbouring rooms are joined.
 
     Attributes:
-        kind: "door", "passage" (no leaf), or "none".
+        kind: "door", "passage" (no leaf), "open" (a passage as wide as the wall), or "none".
         width: clear width [m]; a share of the wall when at most 1; None draws a usual door.
         leaf: whether a door has a leaf, folded open against a wall where there is room.
         glazing: height [m] from which the rest of the wall is a window between the rooms.
@@ -166,7 +166,7 @@ def _cut_joint(
     width = min(width, span - 0.2)
     free = max(span - width - 2 * CORNER, 0.0)
     share = float(rng.uniform(0.0, 0.2)) if rng.random() < 0.5 else float(rng.uniform(0.8, 1.0))
-    if rule.kind == "passage":
+    if rule.kind in ("passage", "open"):
         share = 0.5
     start = low + (span - width - free) / 2 + free * share
     start, stop = round(start, 3), round(start + width, 3)
@@ -174,7 +174,7 @@ def _cut_joint(
         rule.kind, wall.axis, wall.at, start, stop, 0.0, min(rule.top, plan.ceiling - 0.05),
         wall.thickness, (a, b),
     )  # fmt: skip
-    if rule.kind == "passage" or not rule.leaf:
+    if rule.kind in ("passage", "open") or not rule.leaf:
         return opening
     # the leaf opens into the smaller of the two rooms, against the wall beside the door
     into = min((plan.room(a), plan.room(b)), key=lambda r: r.area)

@@ -8,7 +8,7 @@ from gn0.errors import SceneError
 from gn0.scenes.procedural.building import Building, choose_palette
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.palette import Palette
-from gn0.scenes.procedural.plan import Cell, FloorPlan, Room, Wall
+from gn0.scenes.procedural.plan import OPEN_SHARE, Cell, FloorPlan, Room, Wall
 from gn0.scenes.procedural.plan_cells import (
     NO_JOINT,
     Joint,
@@ -29,6 +29,7 @@ WIDTHS = {
     "dining room": 4.0,
     "closet": 2.0,
 }
+DAY_ROOMS = {"living room", "kitchen", "dining room", "hallway"}
 # rooms along the two sides of the hall; a dining room comes first, beside the day block
 STRIPS = {
     "small": (
@@ -72,8 +73,14 @@ NEEDED = {
 }
 
 
-def plan_residence(seed: int, size: str = "medium") -> FloorPlan:
+def plan_residence(seed: int, size: str = "medium", *, open_plan: bool = False) -> FloorPlan:
     """A floor plan of ten to thirteen rooms.
+
+    Args:
+        seed: of all choices.
+        size: see `SIZES`.
+        open_plan: next to nothing is left of the walls between kitchen, living room, dining room
+            and hall.
 
     Raises:
         SceneError: no plan of the wanted area came out (not known to happen).
@@ -82,13 +89,15 @@ def plan_residence(seed: int, size: str = "medium") -> FloorPlan:
     for attempt in range(80):
         rng = random_stream(seed, "residence", "plan", size, attempt)
         wanted = float(rng.uniform(low + 0.15 * (high - low), high - 0.15 * (high - low)))
-        plan = _draw_plan(rng, size, wanted)
+        plan = _draw_plan(rng, size, wanted, open_plan)
         if plan is not None and low <= plan.area <= high:
             return plan
     raise SceneError(f"residence {seed}: no plan found", remedy="use another seed or size")
 
 
-def _draw_plan(rng: np.random.Generator, size: str, wanted: float) -> FloorPlan | None:
+def _draw_plan(
+    rng: np.random.Generator, size: str, wanted: float, open_plan: bool
+) -> FloorPlan | None:
     north, south = STRIPS[size][int(rng.integers(len(STRIPS[size])))]
     hall = float(rng.uniform(1.5, 1.8))
     deep_n, deep_s = float(rng.uniform(3.5, 4.1)), float(rng.uniform(3.6, 4.3))
@@ -130,6 +139,8 @@ def _draw_plan(rng: np.random.Generator, size: str, wanted: float) -> FloorPlan 
 
     def joint(a: Room, b: Room) -> Joint:
         types = {a.type, b.type}
+        if open_plan and types < DAY_ROOMS:
+            return Joint("open", OPEN_SHARE, top=ceiling)
         if "hallway" in types:
             if "living room" in types:
                 return Joint("passage", 0.75, top=2.25)
@@ -144,14 +155,24 @@ def _draw_plan(rng: np.random.Generator, size: str, wanted: float) -> FloorPlan 
 
     ceiling = round(float(rng.uniform(2.6, 2.9)), 2)
     return close_cells(
-        rng, cells, ceiling=ceiling, joint=joint, windows=_windows(rng), entrance="hallway"
+        rng,
+        cells,
+        ceiling=ceiling,
+        joint=joint,
+        windows=_windows(rng, open_plan),
+        entrance="hallway",
     ) or close_cells(
-        rng, cells, ceiling=ceiling, joint=joint, windows=_windows(rng), entrance="living room"
+        rng,
+        cells,
+        ceiling=ceiling,
+        joint=joint,
+        windows=_windows(rng, open_plan),
+        entrance="living room",
     )
 
 
-def _windows(rng: np.random.Generator) -> WindowRule:
-    """One window a wall in small rooms, several in the day rooms."""
+def _windows(rng: np.random.Generator, open_plan: bool) -> WindowRule:
+    """One window a wall in small rooms, several in the day rooms; of an open plan in one wall."""
     seen: set[str] = set()
 
     def windows(
@@ -159,7 +180,11 @@ def _windows(rng: np.random.Generator) -> WindowRule:
     ) -> list[tuple[float, float, float, float]]:
         if room.type in ("hallway", "closet") or high - low < 1.2:
             return []
-        if room.id in seen and (room.type not in ("living room", "bedroom") or rng.random() < 0.4):
+        if room.id in seen and (
+            room.type not in ("living room", "bedroom")
+            or rng.random() < 0.4
+            or (open_plan and room.type == "living room")  # the television needs a wall
+        ):
             return []
         seen.add(room.id)
         if room.type in ("bathroom", "laundry room"):
@@ -176,7 +201,11 @@ def _windows(rng: np.random.Generator) -> WindowRule:
 
 
 def draft_residence(
-    seed: int, *, size: str = "medium", style: str | Palette | None = None
+    seed: int,
+    *,
+    size: str = "medium",
+    style: str | Palette | None = None,
+    open_plan: bool = False,
 ) -> SceneDraft:
     """A furnished large home: geometry, materials, objects, rooms and lamps, before light.
 
@@ -184,10 +213,11 @@ def draft_residence(
         seed: of everything; the same seed gives the same home.
         size: "small", "medium" or "large" (see `SIZES`).
         style: name of one of `palette.STYLES`; drawn when None.
+        open_plan: see `plan_residence`.
 
     Raises:
         SceneError: an unknown style, or no walkable home was found (not known to happen).
     """
     palette = choose_palette("residence", seed, style)
-    plan = plan_residence(seed, size)
+    plan = plan_residence(seed, size, open_plan=open_plan)
     return Building("residence", seed, plan, palette, furnish_home, needed=NEEDED).draft()

@@ -192,7 +192,9 @@ def build_opening_shell(opening: Opening, finishes: dict[str, RoomFinish]) -> li
     h = opening.top - opening.bottom
     inside = opening.rooms[0] or opening.rooms[1]
     assert inside is not None
-    lining = finishes[inside].walls["south"] if opening.kind in ("window", "passage") else TRIM
+    lining = (
+        finishes[inside].walls["south"] if opening.kind in ("window", "passage", "open") else TRIM
+    )
     z = opening.bottom
     shapes = [
         build_panel((-w / 2, -t / 2, z), (0, t, 0), (0, 0, h), lining),

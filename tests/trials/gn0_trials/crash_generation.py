@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import signal
@@ -123,8 +124,9 @@ def crash_generations(
                 time.sleep(float(chance.uniform(0.0, 0.05)))
             children = child_processes(process.pid) if process.poll() is None else []
             if children and chance.integers(0, 3) == 0:
-                os.kill(children[int(chance.integers(0, len(children)))], signal.SIGKILL)
-                workers += 1
+                with contextlib.suppress(ProcessLookupError):  # one that has just ended by itself
+                    os.kill(children[int(chance.integers(0, len(children)))], signal.SIGKILL)
+                    workers += 1
                 time.sleep(float(chance.uniform(0.0, 0.3)))
             if process.poll() is None and parents + workers < kills:
                 process.send_signal(signal.SIGKILL)

@@ -154,21 +154,14 @@ def _draw_plan(
         return NO_JOINT
 
     ceiling = round(float(rng.uniform(2.6, 2.9)), 2)
-    return close_cells(
-        rng,
-        cells,
-        ceiling=ceiling,
-        joint=joint,
-        windows=_windows(rng, open_plan),
-        entrance="hallway",
-    ) or close_cells(
-        rng,
-        cells,
-        ceiling=ceiling,
-        joint=joint,
-        windows=_windows(rng, open_plan),
-        entrance="living room",
-    )
+
+    def close(entrance: str) -> FloorPlan | None:
+        windows = _windows(rng, open_plan)
+        return close_cells(
+            rng, cells, ceiling=ceiling, joint=joint, windows=windows, entrance=entrance
+        )
+
+    return close("hallway") or close("living room")
 
 
 def _windows(rng: np.random.Generator, open_plan: bool) -> WindowRule:

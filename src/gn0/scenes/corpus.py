@@ -22,7 +22,7 @@ from gn0.config import Config, load_json
 from gn0.errors import ConfigError, FormatError, StorageError
 from gn0.scenes.folder import check_scene_id
 from gn0.scenes.procedural.forms import MOST, hold_out_forms
-from gn0.scenes.procedural.kinds import KINDS, SizeName, StyleName
+from gn0.scenes.procedural.kinds import KINDS, OPEN_KINDS, SizeName, StyleName
 from gn0.scenes.scene_sources import scene_id_from
 from gn0.seeds import random_stream
 from gn0.storage import plain_path, safe_join
@@ -186,12 +186,11 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
                 where=where,
                 remedy=f"known: {', '.join(KINDS)}",
             )
-        if part.open_plan and not (part.kind and KINDS[part.kind].opens):
-            homes = [name for name, kind in KINDS.items() if kind.opens]
+        if part.open_plan and part.kind not in OPEN_KINDS:
             raise ConfigError(
                 f"no open plan for {part.kind or 'an import'}",
                 where=where,
-                remedy=f"leave out open_plan, or give one of {', '.join(homes)}",
+                remedy=f"leave out open_plan, or give one of {', '.join(OPEN_KINDS)}",
             )
         if part.path and part.count != 1:
             raise ConfigError(

@@ -53,6 +53,7 @@ def test_a_seed_becomes_a_scene_folder(tmp_path: Path) -> None:
         {"seed": -1},
         {"size": "huge"},
         {"kind": "ship"},
+        {"open_plan": "yes"},
     ],
 )
 def test_wrong_settings_are_refused_before_any_work(

@@ -97,6 +97,8 @@ def test_only_homes_have_one() -> None:
         with pytest.raises(ConfigError, match=f"no {kind} is of another plan") as told:
             GenerateSettings(kind=kind, open_plan=True)
         assert told.value.remedy is not None and "apartment, residence" in told.value.remedy
+    with pytest.raises(ConfigError):
+        GenerateSettings(kind="ship", open_plan=True)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
 from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
-from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
+from gn0.scenes.procedural.kinds import KINDS, OPEN_KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.palette import Palette
 from gn0.scenes.procedural.refine_views import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo, name_categories
@@ -51,12 +51,11 @@ class GenerateSettings(Config, frozen=True):
     open_plan: bool = False
 
     def __post_init__(self) -> None:
-        if self.open_plan and not KINDS[self.kind].opens:
-            homes = [name for name, kind in KINDS.items() if kind.opens]
+        if self.open_plan and self.kind not in OPEN_KINDS:
             raise ConfigError(
                 f"no {self.kind} is of another plan than its own",
                 where="open_plan",
-                remedy=f"leave it out, or choose one of {', '.join(homes)}",
+                remedy=f"leave it out, or choose one of {', '.join(OPEN_KINDS)}",
             )
 
 

@@ -108,3 +108,4 @@ KINDS: dict[KindName, SceneKind] = {
         "outdoors: paths, lawns, trees and a fountain between house fronts, under the sky",
     ),
 }
+OPEN_KINDS = tuple(name for name, kind in KINDS.items() if kind.opens)

@@ -150,7 +150,7 @@ def plan_apartment(seed: int, size: str = "medium", *, open_plan: bool = False) 
         plan = _draw_plan(random_stream(seed, "plan", size, attempt), size, open_plan)
         if plan is not None and low <= plan.area <= high:
             return plan
-    return plan if plan is not None else _draw_plan(random_stream(0, "plan"), "medium")  # type: ignore[return-value]
+    return plan if plan is not None else _draw_plan(random_stream(0, "plan"), "medium", open_plan)  # type: ignore[return-value]
 
 
 def _draw_plan(rng: np.random.Generator, size: str, open_plan: bool = False) -> FloorPlan | None:

@@ -94,15 +94,16 @@ def test_labels_stop_as_deep_in_an_area_as_they_are_told_to(
 
 
 def test_driven_walks_end_as_deep(rooms: Suite, tmp_path: Path) -> None:
-    """The labels of what a policy visits lead in; agents side by side write the same bytes."""
-    flags = [str(rooms.folder), "--policy", "random", "--beta", "1", "--chunk", "3"]
+    """Whoever drives, labels say STOP so deep alone; agents side by side write the same bytes."""
+    flags = [str(rooms.folder), "--policy", "random", "--chunk", "3", "--halting", "none"]
     flags += ["--inside", str(DEPTH)]
     made = []
-    for agents in ("1", "3"):
-        out = tmp_path / agents
-        assert main(["data", "dagger", *flags, "--agents", agents, "--out", str(out)]) == 0
+    for agents, beta in (("1", "1"), ("3", "1"), ("3", "0.5")):
+        out = tmp_path / f"{agents}-{beta}"
+        more = ["--agents", agents, "--beta", beta, "--out", str(out)]
+        assert main(["data", "dagger", *flags, *more]) == 0
         made.append(open_dataset(out))
-    alone, together = made
+    alone, together, driven = made
     assert alone.about.parts == together.about.parts
     assert alone.about.settings.labels.depth == DEPTH
     ends = ends_of(alone)
@@ -110,6 +111,24 @@ def test_driven_walks_end_as_deep(rooms: Suite, tmp_path: Path) -> None:
     for episode in rooms.episodes:
         if episode.in_area:
             assert from_rim(episode, ends[episode.id]) >= DEPTH - 2 * cell
+    stops = {episode.id: stops_of(driven, episode) for episode in rooms.episodes if episode.in_area}
+    assert any(stops.values()) and min(map(min, filter(None, stops.values()))) >= DEPTH - 2 * cell
+
+
+def stops_of(dataset: Dataset, episode: Episode) -> list[float]:
+    """How deep in its area each state is whose label is STOP [m]."""
+    rows = [
+        rows
+        for part in dataset.about.parts
+        for rows in decode_rows(load_sample_table(dataset.folder / part.path))
+        if rows.episode_id == episode.id
+    ]
+    return [
+        from_rim(episode, (float(x), float(y)))
+        for block in rows
+        for (x, y, _), actions in zip(block.poses, block.actions, strict=True)
+        if actions[0] == 0
+    ]
 
 
 def test_the_command_line_says_how_deep(rooms: Suite, tmp_path: Path) -> None:

@@ -141,6 +141,15 @@ def test_the_command_line_says_how_deep(rooms: Suite, tmp_path: Path) -> None:
     assert none == zero != deep and b'"inside":0.5' in deep.replace(b" ", b"")
 
 
+@pytest.mark.parametrize("inside", [float("nan"), -1.0, 9.0, "deep"])
+def test_a_depth_that_is_none_is_refused_before_anything_is_written(
+    rooms: Suite, tmp_path: Path, inside: object
+) -> None:
+    with pytest.raises(ConfigError, match="inside"):
+        build(rooms, tmp_path / "data", inside=inside)
+    assert not list(tmp_path.rglob("*.json"))
+
+
 def test_a_demonstration_ends_where_it_ended() -> None:
     shown = DaggerSettings(policy="recorded", beta=0, halting="none", demonstrate=True)
     with pytest.raises(ConfigError, match="ends where the policy stopped") as told:

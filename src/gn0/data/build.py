@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from gn0.avatars.bank import BANK_FILE, AvatarBank
+from gn0.config import check_config
 from gn0.data.build_folder import (
     parts_journal,
     read_done,
@@ -271,7 +272,11 @@ def find_bank(episodes: Sequence[Episode], bank: Path | str | None) -> AvatarBan
 def describe_dataset(
     suite: Suite, settings: BuildSettings, bank: AvatarBank | None = None
 ) -> DatasetFile:
-    """What a dataset is, before any of it is made: what decides its bytes."""
+    """What a dataset is, before any of it is made: what decides its bytes.
+
+    Raises:
+        ConfigError: a setting is of the wrong type or out of range.
+    """
     from gn0 import __version__
 
     scenes = []
@@ -292,7 +297,7 @@ def describe_dataset(
         suite=SuiteOrigin(name=suite.name, version=suite.about.version, hash=suite.hash),
         camera=suite.about.camera,
         agent=suite.about.agent,
-        settings=settings,
+        settings=check_config(settings),
         scenes=tuple(scenes),
         software=f"gn0 {__version__}",
         bank=msgspec.UNSET if bank is None else bank.content_hash,

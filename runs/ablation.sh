@@ -39,6 +39,7 @@
 #             numbers more add large apartments, medium residences, small offices and small corridors: 90 60 40 20 20 10 10,
 #             and two more medium apartments and small residences of an open plan
 #   LOT_E     another such lot, of other homes (none)
+#   LOT_MARK  a word behind the names of lots d and e, whose homes are others than those of another mark (none)
 #   LEG_LOTS  lots that these legs learn in (a b c, and d and e where there are such), as "a b e"
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
@@ -291,15 +292,17 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES [LARGE VILLAS OFFICES CORRIDORS OPEN_HOM
     printf 'name: lot-%s\nseed: 21\nval_seen: 1.0\nheld_out: {styles: [classic, dark modern], variants: 0.25}\nparts:\n' "$1"
     part() { [ "$2" = 0 ] || printf '  - {%s, count: %s, density: 2500, light: draft, split: %s, name: %s}\n' "$3" "$2" "$SPLIT" "$1"; }
     SPLIT=$2
-    part "$1-flat" "$3" "kind: apartment, size: small"
-    part "$1-home" "$4" "kind: apartment, size: medium"
-    part "$1-house" "$5" "kind: residence, size: small"
-    part "$1-large" "${6:-0}" "kind: apartment, size: large"
-    part "$1-villa" "${7:-0}" "kind: residence, size: medium"
-    part "$1-office" "${8:-0}" "kind: office, size: small"
-    part "$1-corridor" "${9:-0}" "kind: corridor, size: small"
-    part "$1-open" "${10:-0}" "kind: apartment, size: medium, open_plan: true"
-    part "$1-loft" "${11:-0}" "kind: residence, size: small, open_plan: true"
+    local named=$1  # a home is of the name of its part
+    [[ $1 != [de] ]] || named+=${LOT_MARK:-}
+    part "$named-flat" "$3" "kind: apartment, size: small"
+    part "$named-home" "$4" "kind: apartment, size: medium"
+    part "$named-house" "$5" "kind: residence, size: small"
+    part "$named-large" "${6:-0}" "kind: apartment, size: large"
+    part "$named-villa" "${7:-0}" "kind: residence, size: medium"
+    part "$named-office" "${8:-0}" "kind: office, size: small"
+    part "$named-corridor" "${9:-0}" "kind: corridor, size: small"
+    part "$named-open" "${10:-0}" "kind: apartment, size: medium, open_plan: true"
+    part "$named-loft" "${11:-0}" "kind: residence, size: small, open_plan: true"
   } > "$spec"
   export NUMBA_NUM_THREADS=1
   local skip=  # one home less to learn in is no harm; the exam is what it is said to be

@@ -75,7 +75,7 @@ examine() { # until then, in all its ways, three walks a card side by side
   [ -n "${GPUS+x}" ] || cards=$(nvidia-smi --query-gpu=index --format=csv,noheader 2> /dev/null | paste -sd, -) || cards=
   for card in ${cards//,/ }; do thrice+=,$card,$card,$card; done
   GPUS=${thrice#,} WALL=$(awk -v left="$left" 'BEGIN {print left / 60}') NUMBA_NUM_THREADS=4 \
-    runs/ablation.sh "$OUT" "$SIZE" 'shipped-*.walks' 'shipped-*.known' 'shipped-*.controls'
+    runs/ablation.sh "$OUT" "$SIZE" 'shipped-*.walks' 'shipped-*.controls' 'shipped-*.known'
 }
 
 set -m  # all of it is one process group, which ends with this script

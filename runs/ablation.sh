@@ -472,18 +472,20 @@ plan() {
 }
 
 pack() { # tables and logs in pieces of 15 MB, and one set of weights
-  local run=${POLICY:-} leg
+  local run=${POLICY:-} leg new=$OUT/pack.new  # what was packed before lies there until all of it is new
   if [ -z "$run" ]; then
     for ((leg = LEGS; leg > 0; leg--)); do [ ! -d "$OUT/runs/shipped-$leg/policy" ] || { run=shipped-$leg; break; }; done
   fi
-  rm -rf "$OUT/pack"
-  mkdir -p "$OUT/pack"
-  study > "$OUT/pack/verdicts.txt" || true
+  rm -rf "$new"
+  mkdir -p "$new"
+  study > "$new/verdicts.txt" || true
   (cd "$OUT" && find . -type f \( -path './jobs/*' -o -path './log/*' -o -path './specs/*' -o -path './walks/*' -o -name ablation.md \
     -o -path './runs/*/run.json' -o -path './runs/*/metrics.jsonl' -o -path './runs/*/page.html' -o -path './runs/*/log' -o -path ./journal \) \
     ! -path './runs/*/checkpoints/*' ! -name .lock ! -name trajectories.jsonl ! -name 'journal.jsonl' -print0 | sort -z |
-    tar --null -czf - -T -) | split -b 15M - "$OUT/pack/tables.tar.gz."
-  [ -z "$run" ] || cp -r "$OUT/runs/$run/policy" "$OUT/pack/policy"
+    tar --null -czf - -T -) | split -b 15M - "$new/tables.tar.gz."
+  [ -z "$run" ] || cp -r "$OUT/runs/$run/policy" "$new/policy"
+  rm -rf "$OUT/pack"
+  mv "$new" "$OUT/pack"
   say "packed $(du -sh "$OUT/pack" | cut -f1)${run:+, weights of $run}: $OUT/pack"
 }
 

@@ -474,6 +474,14 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
     opened = re.findall(r"kind: (\w+), size: (\w+), open_plan: true, count: (\d+)", spec)
     assert opened == [("apartment", "medium", "3"), ("residence", "small", "2")]
     assert sum(part.count for part in load_spec(out / "specs/e.yaml").parts) == 22
+    for lot in "ae":
+        shutil.rmtree(out / "suites" / lot)
+    call("shipped-3", LOT_E="2 1 1", LEG_LOTS="a e", LOT_MARK="7")
+    named = {
+        lot: {part.name for part in load_spec(out / f"specs/{lot}.yaml").parts} for lot in "ae"
+    }
+    assert named["e"] == {"e7-flat", "e7-home", "e7-house"}  # other homes than those of "e-flat"
+    assert named["a"] == {"a-flat", "a-home", "a-house"}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
@@ -643,6 +651,7 @@ def test_a_leg_of_its_own_homes_begins_with_the_first_and_is_examined_at_its_end
     python, out = tmp_path / "python", tmp_path / "out"
     walked = """case "$3 $4" in "policy examine")
   [ -d {out}/pack/policy ] && mkdir -p "$out" && echo walk > "$out/walks.jsonl" ;;
+"policy study") ls {out}/pack > {out}/packed_before 2> /dev/null ;;
 esac
 """
     python.write_text(STAND_IN.format(python=sys.executable, folder=tmp_path)
@@ -677,6 +686,7 @@ esac
     controls = {(f"shipped-{way}-{control}/unseen", True) for way in ("all", "maps", "views")
                 for control in ("no_words", "shuffled")}  # fmt: skip
     assert ways == exams | controls
+    assert "policy" in (out / "packed_before").read_text().split()  # while all is packed anew
     with tarfile.open(out / "pack/tables.tar.gz.aa") as tables:
         assert "./walks/shipped-maps/known/walks.jsonl" in tables.getnames()
     assert not any(line.startswith("policy examine")

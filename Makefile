@@ -6,7 +6,8 @@ RL ?= .venv-rl
 BAE ?= .venv-bae
 BIN := $(VENV)/bin
 OUT ?= out/demo
-TEST_WORKERS ?= 2
+# one more than the cores of CI: a test that waits, for a browser or a killed process, leaves its core to another
+TEST_WORKERS ?= 3
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
 .PHONY: install dev demo test test-all readers rl bae lowest search faults coverage lint types package figures pictures clean

@@ -272,11 +272,16 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 # what takes a minute and more of `make test-all` or `make bae`, the dearest first: begun late, one
 # would leave the other processes with nothing to do
 DEAREST = (
-    "e2e/test_runs.py", "gaussians/test_fuzz.py", "device/test_compile.py",
-    "data/test_crash_points.py", "procedural/test_refine_draft.py",
-    "capture/test_strange_captures.py", "cli/test_compile_ahead.py", "[training.md]",
-    "[gallery.md]", "[missions.md]", "[README.md]", "[data.md]", "[following.md]", "[avatars.md]",
-    "[people.md]",
+    "data/test_drawing.py", "training/test_recurrent.py", "training/test_sharding.py",
+    "[training.md]", "data/test_crash_points.py", "gaussians/test_fuzz.py",
+    "training/test_dagger_verb.py", "device/test_compile.py", "e2e/test_runs.py",
+    "training/test_runs.py", "[missions.md]", "training/test_processes.py",
+    "cli/test_compile_ahead.py", "[following.md]", "[data.md]", "avatars/test_people.py",
+    "bench/test_executors.py", "[README.md]", "viewer/test_live_browser.py",
+    "policies/bae/test_policy_bae.py", "capture/test_strange_captures.py",
+    "data/test_data_verbs.py", "procedural/test_refine_draft.py", "[export.md]",
+    "testing/test_trust_trials.py", "[people.md]", "[labels.md]", "[for_students.md]",
+    "jobs/test_jobs.py",
 )  # fmt: skip
 
 

@@ -185,7 +185,7 @@ def test_ray_gives_each_worker_cards_of_its_own(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # as below
         warnings.simplefilter("ignore", DeprecationWarning)
-        ray.init(num_cpus=2, num_gpus=2, include_dashboard=False, log_to_driver=False)
+        ray.init("local", num_cpus=2, num_gpus=2, include_dashboard=False, log_to_driver=False)
         try:
             found = run("see_cards", 2, workers=2, executor="ray", gpus=1)
             with pytest.raises(BenchError, match=r"2 workers of 2 GPUs each, but .* has 2 GPUs"):
@@ -213,6 +213,21 @@ def test_ray_gives_the_same_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         warnings.simplefilter("ignore", DeprecationWarning)
         found = run("square", workers=2, executor="ray")
     assert {i: a["square"] for i, a in found.items()} == {i: i * i for i in range(5)}
+
+
+@pytest.mark.slow
+def test_a_cluster_that_nobody_named_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """By itself, Ray joins what runs on the machine, or what its environment names."""
+    pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{SOURCE}")
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:9")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # as above
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found = run("square", 2, executor="ray")
+    assert {i: answer["square"] for i, answer in found.items()} == {0: 0, 1: 1}
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -36,6 +36,7 @@ def local_cluster(cpus: int) -> Iterator[None]:
     """A Ray cluster of this machine alone for the length of a block, shared by the runs in it."""
     ray = import_ray()
     ray.init(
+        address="local",  # whoever else runs one here: one's own is asked for
         num_cpus=cpus,
         num_gpus=0,
         include_dashboard=False,
@@ -62,9 +63,8 @@ def join_cluster(ray: Any, cpus: int, address: str = "", *, gpus: float = 0) -> 
         BenchError: no cluster answers.
     """
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-    if address:
-        options["address"] = address
-    else:
+    options["address"] = address or "local"  # else Ray takes one that it finds on this machine
+    if not address:
         options |= {"num_cpus": cpus, "include_dashboard": False}
         options |= {} if gpus else {"num_gpus": 0}
         options |= {"object_store_memory": OBJECT_STORE}

@@ -14,6 +14,7 @@ import pytest
 import gn0
 from gn0.errors import BenchError, ConfigError, FormatError, JobError
 from gn0.jobs import run_jobs
+from gn0.jobs.cluster import join_cluster
 from gn0.jobs.process import WorkerProcess
 from gn0.jobs.run import TRIES
 
@@ -228,6 +229,21 @@ def test_a_cluster_that_nobody_named_is_left_alone(
         warnings.simplefilter("ignore", DeprecationWarning)
         found = run("square", 2, executor="ray")
     assert {i: answer["square"] for i, answer in found.items()} == {0: 0, 1: 1}
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [("", "--executor process"), ("10.0.0.1:6379", "leave out --ray-address")],
+)
+def test_who_gets_no_cluster_is_told_what_he_can_do(address: str, said: str) -> None:
+    class Ray:
+        @staticmethod
+        def init(**_options: object) -> None:
+            raise RuntimeError("no port is free\nand much more")
+
+    with pytest.raises(BenchError, match="no port is free") as told:
+        join_cluster(Ray, 2, address)
+    assert said in str(told.value) and "much more" not in str(told.value)
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -33,17 +33,13 @@ def import_ray() -> Any:
 
 @contextlib.contextmanager
 def local_cluster(cpus: int) -> Iterator[None]:
-    """A Ray cluster of this machine alone for the length of a block, shared by the runs in it."""
+    """A Ray cluster of this machine alone for the length of a block, shared by the runs in it.
+
+    Raises:
+        BenchError: Ray is not installed, or does not start.
+    """
     ray = import_ray()
-    ray.init(
-        address="local",  # whoever else runs one here: one's own is asked for
-        num_cpus=cpus,
-        num_gpus=0,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-        object_store_memory=OBJECT_STORE,
-    )
+    join_cluster(ray, cpus)
     try:
         yield
     finally:
@@ -74,5 +70,7 @@ def join_cluster(ray: Any, cpus: int, address: str = "", *, gpus: float = 0) -> 
         raise BenchError(
             f"Ray does not start or answer: {str(error).splitlines()[0] if str(error) else ''}",
             where=f"--ray-address {address}" if address else "--executor ray",
-            remedy="check `ray status`, or leave out --ray-address to use this machine alone",
+            remedy="check `ray status`, or leave out --ray-address to use this machine alone"
+            if address
+            else "use --executor process, which needs no cluster",
         ) from error

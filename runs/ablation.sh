@@ -484,6 +484,7 @@ pack() { # tables and logs in pieces of 15 MB, and one set of weights
     ! -path './runs/*/checkpoints/*' ! -name .lock ! -name trajectories.jsonl ! -name 'journal.jsonl' -print0 | sort -z |
     tar --null -czf - -T -) | split -b 15M - "$new/tables.tar.gz."
   [ -z "$run" ] || cp -r "$OUT/runs/$run/policy" "$new/policy"
+  [ ! -d "$OUT/figures" ] || cp -r "$OUT/figures" "$new"  # of runs/leg.sh
   rm -rf "$OUT/pack"
   mv "$new" "$OUT/pack"
   say "packed $(du -sh "$OUT/pack" | cut -f1)${run:+, weights of $run}: $OUT/pack"

@@ -66,7 +66,7 @@ beside() { # figures on the second card, each by itself: one that breaks off tak
 }
 
 bring_home() {
-  POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack && cp -r "$OUT/figures" "$OUT/pack"
+  POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack
 }
 
 examine() { # until then, in all its ways, three walks a card side by side

@@ -76,17 +76,18 @@ def test_many_scenes_under_a_budget(device, scale) -> None:
 
 
 def test_short_memory_makes_smaller_batches(
-    device, scale, scene, caplog: pytest.LogCaptureFixture
+    device, scale, scene, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera, views = flat_camera(scale.pixels, scale.pixels), scene.views(6, 2)
     renderer = RendererCuda(scene.cloud, device=device)
     want = _bytes(renderer.render(camera, views))
     tight = RendererCuda(scene.cloud, device=device)
-    tight.batch.drawer.memory = 100 * scale.splats  # of lists: about two views
+    drawer = tight.batch.drawer  # that all renderers of the device share, so do later tests
+    monkeypatch.setattr(drawer, "memory", 100 * scale.splats)  # of lists: about two views
     with caplog.at_level(logging.INFO):
         assert _bytes(tight.render(camera, views)) == want
         assert _bytes(tight.render(camera, views)) == want
-    tight.batch.drawer.memory = 64
+    monkeypatch.setattr(drawer, "memory", 64)
     try:
         assert _bytes(tight.render(camera, views)) == want
     except DeviceMemoryError as error:

@@ -13,7 +13,8 @@ from gn0_trials.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main,
 # files that take milliseconds each: hundreds with every change, thousands by the slow run, and a
 # million where that was measured (`gn0 figures fuzz`)
 DEAR = {
-    "fbx": 100, "bvh": 300, "episodes-people": 300, "bank": 300, "glb-skin": 300, "avatar": 500,
+    "fbx": 100, "bvh": 300, "gn-matrix": 300, "episodes-people": 300, "bank": 300,
+    "glb-skin": 300, "avatar": 500,
 }  # fmt: skip
 
 

@@ -55,6 +55,7 @@ def commands(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # a page that trains takes minutes, and others run beside it
 @pytest.mark.parametrize("document", [d for d in DOCUMENTS if blocks_of(d)], ids=lambda d: d.name)
 def test_every_command_block_runs(document: Path, tmp_path: Path, commands: str) -> None:
     """Blocks of one document run in order in one empty folder, as a reader would type them."""
@@ -65,7 +66,7 @@ def test_every_command_block_runs(document: Path, tmp_path: Path, commands: str)
             ["bash", "-euo", "pipefail", "-c"] if language == "bash" else [sys.executable, "-c"]
         )
         done = subprocess.run(
-            [*command, text], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=580
+            [*command, text], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=1100
         )
         assert done.returncode == 0, f"{document.name}:\n{text}\n{done.stdout}\n{done.stderr}"
 

@@ -214,6 +214,40 @@ def test_intervals_alone_decide_claims(study: Path, capsys: pytest.CaptureFixtur
     assert again.read_text() == page
 
 
+def test_what_a_page_told_of_walks_that_are_gone_it_tells_again(study: Path) -> None:
+    page, told = study / "page.md", list[str]()
+    write_study(study / "study.yaml", study, page)
+    whole = page.read_text()
+    for gone in ("walks/dagger-0", "walks/dagger-1", "walks/sft-2", "runs/dagger-0"):
+        shutil.rmtree(study / gone)
+    judged = write_study(study / "study.yaml", study, page, onto=page, say=told.append)
+    assert [one.verdict for one in judged][:3] == ["held", "did not hold", "not run"]
+    # of runs' figures a row is of what is here, of one seed or more
+    head, stages = whole.split("## Stages of training")
+    assert page.read_text().startswith(head)
+    assert f"of {page}, of more seeds than what is here" in told[0]
+    for gone in ("walks", "runs"):
+        shutil.rmtree(study / gone)
+    page.write_text(whole)
+    write_study(study / "study.yaml", study, page, onto=page, say=told.append)
+    assert page.read_text() == head + "## Stages of training" + stages
+
+
+def test_walks_of_as_many_seeds_stand_instead_of_what_a_page_told(study: Path) -> None:
+    page = study / "page.md"
+    write_study(study / "study.yaml", study, page)
+    whole = page.read_text()
+    was = next(line for line in whole.splitlines() if line.startswith("| SFT (`sft`) | 3 of 3"))
+    page.write_text(whole.replace(was, re.sub(r"\d", "9", was).replace("9 of 9", "3 of 3")))
+    assert page.read_text() != whole
+    write_study(study / "study.yaml", study, page, onto=page)
+    assert page.read_text() == whole
+    page.write_text(whole.replace("**held**", "**nearly**", 1))
+    shutil.rmtree(study / "walks/dagger-0")
+    with pytest.raises(FormatError, match=r"no verdict: '\*\*nearly\*\*'"):
+        write_study(study / "study.yaml", study, page, onto=page)
+
+
 def test_a_claim_on_the_edge_is_too_close_to_tell(study: Path) -> None:
     found = _find(study)
     gain = find_difference(found, Difference(a="dagger", b="sft"))
@@ -842,6 +876,13 @@ def test_the_page_says_what_was_not_run(tmp_path: Path) -> None:
     if "none was run" in page:
         assert page == (tmp_path / "page.md").read_text()
     assert "17 M weights) from random weights on generated scenes" in page.split("\n")[2]
+
+
+def test_the_page_is_what_the_command_makes_of_it(tmp_path: Path) -> None:
+    """No row was changed, moved or left out by hand."""
+    page = ROOT / "docs/ablation.md"
+    write_study(ROOT / "runs/ablation/study.yaml", tmp_path, tmp_path / "page.md", onto=page)
+    assert (tmp_path / "page.md").read_text() == page.read_text()
 
 
 def _findings() -> tuple[str, str]:

@@ -2,7 +2,9 @@
 
 A study is described by a file: which policies were to be trained and examined, and which claims are
 to be judged. Walks of `gn0 policy examine` and runs of `gn0 bench run` are looked for below FOLDER;
-what is not there is said to be not run. The intervals alone decide whether a claim held. Needs no
+what is not there is said to be not run, or taken from a page before with --onto, where walks of
+machines that are gone are rows. What an arm that was trained anew has not walked yet is then the
+old one's. The intervals alone decide whether a claim held. Needs no
 torch.
 """
 
@@ -15,7 +17,8 @@ import tyro
 
 from gn0.config import Config
 
-EXAMPLES = """  gn0 policy study runs/ablation/study.yaml out/ablation --out docs/ablation.md"""
+EXAMPLES = """  gn0 policy study runs/ablation/study.yaml out/ablation --out docs/ablation.md
+  gn0 policy study runs/ablation/study.yaml out/today --onto docs/ablation.md --out page.md"""
 
 
 class Args(Config, frozen=True):
@@ -25,11 +28,14 @@ class Args(Config, frozen=True):
         study: the description of the study, YAML.
         folder: below which its walks and training runs lie.
         out: the page to write, Markdown.
+        onto: a page of this study from before; its rows stand where they are of more seeds than
+            what lies below FOLDER. May be the page to write.
     """
 
     study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
     folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
     out: str
+    onto: Annotated[str, tyro.conf.arg(metavar="PAGE")] = ""
 
 
 def run(args: Args) -> int:
@@ -38,7 +44,11 @@ def run(args: Args) -> int:
     from gn0.training.study.study_page import write_study
 
     judged = write_study(
-        args.study, args.folder, args.out, say=lambda text: print(plain_text(text))
+        args.study,
+        args.folder,
+        args.out,
+        onto=args.onto or None,
+        say=lambda text: print(plain_text(text)),
     )
     for one in judged:
         print(f"{one.verdict:<18} {plain_text(' '.join(one.claim.text.split()))}")

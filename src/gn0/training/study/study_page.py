@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from gn0.counted import counted
-from gn0.errors import ConfigError
+from gn0.errors import ConfigError, FormatError
 from gn0.storage import read_bytes, write_text
 from gn0.training.exams.walks import MEANS
-from gn0.training.study.claims import Judged, find_difference, find_mean, judge_claim, scale_of
+from gn0.training.study.claims import (
+    Judged,
+    Verdict,
+    find_difference,
+    find_mean,
+    judge_claim,
+    scale_of,
+)
 from gn0.training.study.crossed_intervals import (
     ALIKE,
     DISCORDANT,
@@ -19,9 +27,9 @@ from gn0.training.study.crossed_intervals import (
     smallest_effect,
 )
 from gn0.training.study.outcomes import Found
+from gn0.training.study.page_before import MISSIONS, NOT_RUN, PageBefore, draw_cell, load_page
 from gn0.training.study.study_file import Arm, Difference, Exam, PaperRow, Study, load_study
 
-NOT_RUN = "not run yet"
 METRES = ("TL", "NE", "NE_straight")
 _TITLES = {
     "SR": "SR", "SPL": "SPL", "OS": "OS", "TL": "TL m", "NE": "NE m", "NE_straight": "NE straight",
@@ -30,12 +38,24 @@ _TITLES = {
 }  # fmt: skip
 _COLUMNS = tuple(_TITLES)
 _PAPER = ("TL", "NE_straight", "OS", "SR_straight", "SPL_straight")  # where its five stand
-_VERDICTS = ("held", "did not hold", "too close to tell", "not run")
+_ROW = ("policy", "seeds", *_TITLES.values(), "cut short")
+_JUDGED = ("claim", "source", "measured", "claimed", "found, 95 %", "of", "verdict")
+_DIFFERENCES = "Differences on the same episodes"
+_DIFFERENCE = (
+    "a − b", "exam", "missions", "metric", "difference, 95 %", "smallest seen", "of"
+)  # fmt: skip
+_STAGES = "Stages of training"
+_VERDICTS: tuple[Verdict, ...] = ("held", "did not hold", "too close to tell", "not run")
 _PAPER_EXAMS = ("seen", "unseen")
 
 
 def write_study(
-    study: Path | str, folder: Path | str, out: Path | str, *, say: Callable[[str], None] = print
+    study: Path | str,
+    folder: Path | str,
+    out: Path | str,
+    *,
+    onto: Path | str | None = None,
+    say: Callable[[str], None] = print,
 ) -> list[Judged]:
     """Make the page of a study from what lies in a folder.
 
@@ -43,13 +63,16 @@ def write_study(
         study: its description, see `gn0.training.study.study_file`.
         folder: of walks and runs.
         out: the page.
-        say: is told what is there but unfinished.
+        onto: a page of this study from before, whose rows stand where they are of more seeds than
+            what lies in the folder; it may be `out`.
+        say: is told what is there but unfinished, and how many rows are of the page before.
 
     Returns:
         the claims with their verdicts.
 
     Raises:
-        ConfigError, FormatError: the description makes no sense, or walks do not belong together.
+        ConfigError, FormatError: the description makes no sense, walks do not belong together, or
+            the page before is none of this study.
         TrainingError, StorageError: walks are damaged, or the page cannot be written.
     """
     described = load_study(study)
@@ -59,14 +82,46 @@ def write_study(
     preface = ""
     if described.preface:
         preface = read_bytes(Path(study).parent / described.preface).decode()
-    judged = [judge_claim(found, claim) for claim in described.claims]
-    write_text(out, "\n".join(_list_lines(found, preface, judged)) + "\n")
+    before = PageBefore() if onto is None else load_page(onto)
+    judged, verdicts = _judge(found, before)
+    write_text(out, "\n".join(_list_lines(found, before, preface, judged, verdicts)) + "\n")
+    if before.used:
+        say(f"{counted(len(before.used), 'row')} of {onto}, of more seeds than what is here")
     return judged
 
 
-def _list_lines(found: Found, preface: str, judged: Sequence[Judged]) -> Iterator[str]:
+def _judge(found: Found, before: PageBefore) -> tuple[list[Judged], list[tuple[str, ...]]]:
+    """Claims with their verdicts, and their rows."""
+    judged, rows = [], []
+    for claim in found.study.claims:
+        one = judge_claim(found, claim)
+        row = _tell_claim(one)
+        seeds = one.estimate.seeds if one.estimate else 0
+        kept = before.find("Verdicts", "", _JUDGED, *row[:4], more=seeds)
+        if kept:
+            verdict = next((told for told in _VERDICTS if kept[-1] == f"**{told}**"), None)
+            if verdict is None:
+                raise FormatError(
+                    f"no verdict: {kept[-1]!r}",
+                    file=before.path or "",
+                    field=claim.text,
+                    remedy=f"one of {', '.join(_VERDICTS)}",
+                )
+            one, row = replace(one, verdict=verdict), kept
+        judged.append(one)
+        rows.append(row)
+    return judged, rows
+
+
+def _list_lines(
+    found: Found,
+    before: PageBefore,
+    preface: str,
+    judged: Sequence[Judged],
+    verdicts: Sequence[tuple[str, ...]],
+) -> Iterator[str]:
     study = found.study
-    made, whole = _count(found)
+    made, whole = _count(found, before)
     yield f"# {study.title}\n"
     yield f"**{study.sentence.strip()}**\n"
     yield f"Of the {whole} policies and exams of this study, {made or 'none'} {_was(made)} run.\n"
@@ -80,7 +135,7 @@ def _list_lines(found: Found, preface: str, judged: Sequence[Judged]) -> Iterato
         "where the whole interval is on the other side, and is too close to tell where the number "
         "lies inside. Claims and numbers were written down before anything was run.\n"
     )
-    yield from _tell_verdicts(judged)
+    yield from _tell_verdicts(judged, verdicts)
     for table in study.tables:
         arms = [arm for arm in study.arms if arm.table == table.name]
         if not arms:
@@ -92,17 +147,35 @@ def _list_lines(found: Found, preface: str, judged: Sequence[Judged]) -> Iterato
             yield "Nobody walks here; what the runs reported is in the last table.\n"
         for exam in study.exams:
             if any(exam.name in arm.exams for arm in arms):
-                yield from _tell_exam(found, exam, [a for a in arms if exam.name in a.exams])
-        yield from _tell_missions(found, arms)
-    yield from _tell_differences(found)
-    yield from _tell_stages(found)
+                own = [arm for arm in arms if exam.name in arm.exams]
+                yield from _tell_exam(found, before, table.title, exam, own)
+        yield from _tell_missions(found, before, table.title, arms)
+    yield from _tell_differences(found, before)
+    yield from _tell_stages(found, before)
 
 
-def _count(found: Found) -> tuple[int, int]:
+def _count(found: Found, before: PageBefore) -> tuple[int, int]:
     """Policies and exams that were walked, and all of them."""
+    titles = {table.name: table.title for table in found.study.tables}
+    exams = {exam.name: exam for exam in found.study.exams}
     cells = [(arm, exam) for arm in found.study.arms for exam in arm.exams]
-    made = sum(len(found.outcomes(arm, exam)) for arm, exam in cells)
+    made = 0
+    for arm, exam in cells:
+        kept = _find_row(found, before, titles.get(arm.table, ""), arm, exams[exam])
+        made += int(kept[1].split()[0]) if kept else len(found.outcomes(arm, exam))
     return made, sum(len(arm.seeds) for arm, _ in cells)
+
+
+def _find_row(
+    found: Found, before: PageBefore, section: str, arm: Arm, exam: Exam
+) -> tuple[str, ...] | None:
+    """The row of an arm's exam on the page before, where it is of more seeds than are here."""
+    seeds = len(found.outcomes(arm, exam.name))
+    return before.find(section, exam.title, _ROW, _tell_name(arm), more=seeds)
+
+
+def _tell_name(arm: Arm) -> str:
+    return f"{arm.title} (`{arm.name}`)"
 
 
 def _was(count: int) -> str:
@@ -131,7 +204,7 @@ def _tell_smallest(exam: Exam) -> float:
     return 100 * smallest_effect(exam.scenes, exam.episodes)
 
 
-def _tell_verdicts(judged: Sequence[Judged]) -> Iterator[str]:
+def _tell_verdicts(judged: Sequence[Judged], rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     for verdict in _VERDICTS:
         texts = [" ".join(one.claim.text.split()) for one in judged if one.verdict == verdict]
         if verdict == "not run" and texts:
@@ -139,27 +212,24 @@ def _tell_verdicts(judged: Sequence[Judged]) -> Iterator[str]:
         elif texts:
             yield f"* {verdict.capitalize()}: {'; '.join(texts)}."
     yield ""
-    rows = []
-    for one in judged:
-        claim = one.claim
-        bound = f"> {claim.above:g}" if claim.above is not None else f"< {claim.below:g}"
-        what = _tell_metric(claim.metric) + (f", {claim.a} − {claim.b}" if claim.b else "")
-        where = "" if claim.metric not in MEANS else f", {claim.exam}"
-        where += f" − {claim.exam_b}" if claim.exam_b else ""
-        where += f", {claim.missions}" if claim.missions != "all" else ""
-        rows.append(
-            (
-                claim.text.strip(),
-                claim.source,
-                f"{what}{where}",
-                bound,
-                _tell(one.estimate, signed=bool(claim.b), digits=_digits(claim.metric)),
-                _tell_basis(one.estimate),
-                f"**{one.verdict}**",
-            )
-        )
-    yield from _draw_table(
-        ("claim", "source", "measured", "claimed", "found, 95 %", "of", "verdict"), rows
+    yield from _draw_table(_JUDGED, rows)
+
+
+def _tell_claim(one: Judged) -> tuple[str, ...]:
+    claim = one.claim
+    bound = f"> {claim.above:g}" if claim.above is not None else f"< {claim.below:g}"
+    what = _tell_metric(claim.metric) + (f", {claim.a} − {claim.b}" if claim.b else "")
+    where = "" if claim.metric not in MEANS else f", {claim.exam}"
+    where += f" − {claim.exam_b}" if claim.exam_b else ""
+    where += f", {claim.missions}" if claim.missions != "all" else ""
+    return (
+        claim.text.strip(),
+        claim.source,
+        f"{what}{where}",
+        bound,
+        _tell(one.estimate, signed=bool(claim.b), digits=_digits(claim.metric)),
+        _tell_basis(one.estimate),
+        f"**{one.verdict}**",
     )
 
 
@@ -173,13 +243,18 @@ def _digits(metric: str) -> int:
     return 2 if metric in METRES else 1 if metric in MEANS else 3
 
 
-def _tell_exam(found: Found, exam: Exam, arms: Sequence[Arm]) -> Iterator[str]:
+def _tell_exam(
+    found: Found, before: PageBefore, section: str, exam: Exam, arms: Sequence[Arm]
+) -> Iterator[str]:
     yield f"### {exam.title}\n"
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for arm in arms:
         own = found.outcomes(arm, exam.name)
-        name = f"{arm.title} (`{arm.name}`)"
-        if not own:
+        name = _tell_name(arm)
+        kept = _find_row(found, before, section, arm, exam)
+        if kept:
+            rows.append((name, f"{kept[1].split()[0]} of {len(arm.seeds)}", *kept[2:]))
+        elif not own:
             cells = [""] * (len(_COLUMNS) + 1)
             rows.append((name, f"0 of {len(arm.seeds)}", f"*{_tell_not_run(arm)}*", *cells[1:]))
         else:
@@ -192,7 +267,7 @@ def _tell_exam(found: Found, exam: Exam, arms: Sequence[Arm]) -> Iterator[str]:
             rows.append((name, seeds, *cells, _tell_cut(found, arm, exam.name)))
         if arm.paper and exam.name in _PAPER_EXAMS:
             rows.append(_tell_paper(found.study, arm.paper, exam.name))
-    yield from _draw_table(("policy", "seeds", *_TITLES.values(), "cut short"), rows)
+    yield from _draw_table(_ROW, rows)
 
 
 def _tell_not_run(arm: Arm) -> str:
@@ -212,45 +287,59 @@ def _tell_paper(study: Study, name: str, exam: str) -> tuple[str, ...]:
     return (f"*the paper: {row.name} (l. {row.line})*", "", *cells, "")
 
 
-def _tell_missions(found: Found, arms: Sequence[Arm]) -> Iterator[str]:
+def _tell_missions(
+    found: Found, before: PageBefore, section: str, arms: Sequence[Arm]
+) -> Iterator[str]:
     """Success by kind, in exams that somebody took."""
+    titles = ("policy", *found.study.missions)
     for exam in found.study.exams:
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for arm in arms:
+            kept = None
+            if exam.name in arm.exams and _find_row(found, before, section, arm, exam):
+                kept = before.find(section, f"{MISSIONS}{exam.title}", titles, arm.title)
             cells = [find_mean(found, arm, exam.name, group) for group in found.study.missions]
-            if any(cells):
+            if kept:
+                rows.append(kept)
+            elif any(cells):
                 rows.append((arm.title, *(_tell(cell) for cell in cells)))
         if rows:
-            yield f"SR by missions, {exam.title}:\n"
-            yield from _draw_table(("policy", *found.study.missions), rows)
+            yield f"{MISSIONS}{exam.title}:\n"
+            yield from _draw_table(titles, rows)
 
 
-def _tell_differences(found: Found) -> Iterator[str]:
+def _tell_differences(found: Found, before: PageBefore) -> Iterator[str]:
     if not found.study.differences:
         return
-    yield "## Differences on the same episodes\n"
-    rows, missing = [], []
+    yield f"## {_DIFFERENCES}\n"
+    rows: list[tuple[str, ...]] = []
+    missing: list[str] = []
     for one in found.study.differences:
         label = f"`{one.a}` − `{one.b}`"
         estimate = find_difference(found, one)
-        if estimate is None:
+        key = (
+            label,
+            one.exam + (f" − {one.exam_b}" if one.exam_b else ""),
+            one.missions,
+            _tell_metric(one.metric),
+        )
+        seeds = estimate.seeds if estimate else 0
+        kept = before.find(_DIFFERENCES, "", _DIFFERENCE, *key, more=seeds)
+        if kept:
+            rows.append(kept)
+        elif estimate is None:
             missing.append(label)
-            continue
-        rows.append(
-            (
-                label,
-                one.exam + (f" − {one.exam_b}" if one.exam_b else ""),
-                one.missions,
-                _tell_metric(one.metric),
-                _tell(estimate, signed=True, digits=_digits(one.metric)),
-                _tell_least(one, estimate),
-                _tell_basis(estimate),
+        else:
+            rows.append(
+                (
+                    *key,
+                    _tell(estimate, signed=True, digits=_digits(one.metric)),
+                    _tell_least(one, estimate),
+                    _tell_basis(estimate),
+                )
             )
-        )
     if rows:
-        yield from _draw_table(
-            ("a − b", "exam", "missions", "metric", "difference, 95 %", "smallest seen", "of"), rows
-        )
+        yield from _draw_table(_DIFFERENCE, rows)
     if missing:
         yield f"{NOT_RUN.capitalize()}: {', '.join(dict.fromkeys(missing))}.\n"
 
@@ -262,23 +351,25 @@ def _tell_least(what: Difference, estimate: Estimate) -> str:
     return f"{100 * smallest_effect(estimate.scenes, estimate.episodes):.1f}"
 
 
-def _tell_stages(found: Found) -> Iterator[str]:
+def _tell_stages(found: Found, before: PageBefore) -> Iterator[str]:
     figures = found.study.figures
     arms = [arm for arm in found.study.arms if arm.run]
     if not figures or not arms:
         return
-    yield "## Stages of training\n"
+    yield f"## {_STAGES}\n"
     yield "Means over seeds of what each run itself reported.\n"
-    rows = []
+    titles = ("run", *(figure.title for figure in figures))
+    rows: list[tuple[str, ...]] = []
     for arm in arms:
         cells = []
         for figure in figures:
             values = list(found.figures(arm, figure).values())
             mean = figure.factor * sum(values) / len(values) if values else math.nan
             cells.append(f"{mean:.4g}" if values else "")
-        name = f"{arm.title} (`{arm.name}`)"
-        rows.append((name, *(cells if any(cells) else [f"*{NOT_RUN}*", *cells[1:]])))
-    yield from _draw_table(("run", *(figure.title for figure in figures)), rows)
+        name = _tell_name(arm)
+        kept = before.find(_STAGES, "", titles, name) if not any(cells) else None
+        rows.append(kept or (name, *(cells if any(cells) else [f"*{NOT_RUN}*", *cells[1:]])))
+    yield from _draw_table(titles, rows)
 
 
 def _tell(estimate: Estimate | None, *, signed: bool = False, digits: int = 1) -> str:
@@ -307,6 +398,6 @@ def _draw_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterato
     yield f"| {' | '.join(titles)} |"
     yield f"|{' --- |' * len(titles)}"
     for row in rows:
-        cells = (cell.replace("|", "\\|").replace("\n", " ") for cell in row)
+        cells = (draw_cell(cell) for cell in row)
         yield f"| {' | '.join(cells)} |"
     yield ""

@@ -86,7 +86,7 @@ def test_a_page_that_fits_no_study_is_refused(
 
 def test_a_page_that_is_no_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_bytes(b"# A study\n\xff\n")
-    with pytest.raises(FormatError, match="byte 10: this is no text in UTF-8"):
+    with pytest.raises(FormatError, match="byte 10: this is not UTF-8 text"):
         load_page(tmp_path / "page.md")
 
 

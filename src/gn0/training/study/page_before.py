@@ -88,7 +88,7 @@ def load_page(path: Path | str) -> PageBefore:
         lines = read_bytes(path, limit=LIMIT).decode().splitlines()
     except UnicodeDecodeError as error:
         raise FormatError(
-            "this is no text in UTF-8", file=path, offset=error.start, remedy=_REMEDY
+            "this is not UTF-8 text", file=path, offset=error.start, remedy=_REMEDY
         ) from None
     section = caption = ""
     titles: tuple[str, ...] = ()

@@ -242,6 +242,12 @@ def test_walks_of_as_many_seeds_stand_instead_of_what_a_page_told(study: Path) -
     assert page.read_text() != whole
     write_study(study / "study.yaml", study, page, onto=page)
     assert page.read_text() == whole
+    about = study / "walks/sft-0/unseen/walks.json"
+    finished = about.read_text()
+    about.write_text(json.dumps(json.loads(finished) | {"finished": False}))
+    write_study(study / "study.yaml", study, page, onto=page)  # of walks under way, none is kept
+    assert "| SFT (`sft`) | 2 of 3" in page.read_text() and "| SFT (`sft`) | 3 of 3" in whole
+    about.write_text(finished)
     page.write_text(whole.replace("**held**", "**nearly**", 1))
     shutil.rmtree(study / "walks/dagger-0")
     with pytest.raises(FormatError, match=r"no verdict: '\*\*nearly\*\*'"):

@@ -3,9 +3,9 @@
 A study is described by a file: which policies were to be trained and examined, and which claims are
 to be judged. Walks of `gn0 policy examine` and runs of `gn0 bench run` are looked for below FOLDER;
 what is not there is said to be not run, or taken from a page before with --onto, where walks of
-machines that are gone are rows. What an arm that was trained anew has not walked yet is then the
-old one's. The intervals alone decide whether a claim held. Needs no
-torch.
+machines that are gone are rows. Of walks that are under way in FOLDER nothing is taken over; what
+an arm that was trained anew has not begun is still the old one's. The intervals alone decide
+whether a claim held. Needs no torch.
 """
 
 from __future__ import annotations

@@ -78,6 +78,19 @@ class Found:
                 found[seed] = own
         return found
 
+    def under_way(self, arm: Arm, exam: str) -> bool:
+        """Whether walks of an arm in an exam have begun here and are not finished.
+
+        Raises:
+            ConfigError, TrainingError, StorageError, FormatError: see `outcomes`.
+        """
+        own = self.outcomes(arm, exam)
+        folders = (self.folder / arm.folder(arm.walks, seed, exam) for seed in arm.seeds)
+        return exam in arm.exams and any(
+            seed not in own and (folder / ABOUT).is_file()
+            for seed, folder in zip(arm.seeds, folders, strict=True)
+        )
+
     def _check_suite(self, exam: str, own: Outcomes, path: Path) -> None:
         suite, first = self._suites.setdefault(exam, (own.suite, path))
         if own.suite != suite:

@@ -28,7 +28,7 @@ from gn0.training.study.crossed_intervals import (
 )
 from gn0.training.study.outcomes import Found
 from gn0.training.study.page_before import MISSIONS, NOT_RUN, PageBefore, draw_cell, load_page
-from gn0.training.study.study_file import Arm, Difference, Exam, PaperRow, Study, load_study
+from gn0.training.study.study_file import Arm, Claim, Difference, Exam, PaperRow, Study, load_study
 
 METRES = ("TL", "NE", "NE_straight")
 _TITLES = {
@@ -64,7 +64,7 @@ def write_study(
         folder: of walks and runs.
         out: the page.
         onto: a page of this study from before, whose rows stand where they are of more seeds than
-            what lies in the folder; it may be `out`.
+            what lies in the folder, and where no such walks are under way; it may be `out`.
         say: is told what is there but unfinished, and how many rows are of the page before.
 
     Returns:
@@ -97,7 +97,9 @@ def _judge(found: Found, before: PageBefore) -> tuple[list[Judged], list[tuple[s
         one = judge_claim(found, claim)
         row = _tell_claim(one)
         seeds = one.estimate.seeds if one.estimate else 0
-        kept = before.find("Verdicts", "", _JUDGED, *row[:4], more=seeds)
+        kept = None
+        if not _walks_anew(found, claim):
+            kept = before.find("Verdicts", "", _JUDGED, *row[:4], more=seeds)
         if kept:
             verdict = next((told for told in _VERDICTS if kept[-1] == f"**{told}**"), None)
             if verdict is None:
@@ -111,6 +113,14 @@ def _judge(found: Found, before: PageBefore) -> tuple[list[Judged], list[tuple[s
         judged.append(one)
         rows.append(row)
     return judged, rows
+
+
+def _walks_anew(found: Found, what: Difference | Claim) -> bool:
+    """Whether walks that it speaks of have begun here, so that those of a page are others."""
+    if what.metric not in MEANS:
+        return False
+    pairs = [(what.a, what.exam), *([(what.b, what.exam_b or what.exam)] if what.b else [])]
+    return any(found.under_way(found.study.arm(arm), exam) for arm, exam in pairs)
 
 
 def _list_lines(
@@ -171,6 +181,8 @@ def _find_row(
 ) -> tuple[str, ...] | None:
     """The row of an arm's exam on the page before, where it is of more seeds than are here."""
     seeds = len(found.outcomes(arm, exam.name))
+    if found.under_way(arm, exam.name):
+        return None
     return before.find(section, exam.title, _ROW, _tell_name(arm), more=seeds)
 
 
@@ -324,7 +336,9 @@ def _tell_differences(found: Found, before: PageBefore) -> Iterator[str]:
             _tell_metric(one.metric),
         )
         seeds = estimate.seeds if estimate else 0
-        kept = before.find(_DIFFERENCES, "", _DIFFERENCE, *key, more=seeds)
+        kept = None
+        if not _walks_anew(found, one):
+            kept = before.find(_DIFFERENCES, "", _DIFFERENCE, *key, more=seeds)
         if kept:
             rows.append(kept)
         elif estimate is None:

@@ -12,7 +12,6 @@ read comes through a local cache, every byte checked against the manifest.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import re
 import shutil
@@ -34,6 +33,7 @@ from gn0.storage import (
     cache_dir,
     check_contained,
     content_hash,
+    hash_file,
     plain_path,
     safe_join,
     storage_error,
@@ -112,7 +112,7 @@ def publish_folder(
     for done, path in enumerate(paths):
         progress("reading", done, len(paths))
         name = path.relative_to(folder).as_posix()
-        files.append(RemoteFile(path=name, size=path.stat().st_size, digest=_digest(path)))
+        files.append(RemoteFile(path=name, size=path.stat().st_size, digest=hash_file(path)))
     progress("reading", len(paths), len(paths))
     there = store.sizes(OBJECTS)
     missing = {
@@ -331,7 +331,7 @@ def _send_object(store: _Store, path: Path, file: RemoteFile) -> None:
     """Send a file under the name of its content, unless that changed since it was read."""
     name = f"{OBJECTS}/{file.digest}"
     store.put(path, name)
-    if path.stat().st_size != file.size or _digest(path) != file.digest:
+    if path.stat().st_size != file.size or hash_file(path) != file.digest:
         store.remove(name)
         raise StorageError(
             "changed while it was uploaded", where=path, remedy="upload it when nobody writes there"
@@ -347,7 +347,7 @@ def _fetch_object(store: _Store, objects: Path, file: RemoteFile) -> None:
     def pour(folder: Path) -> None:
         half = folder / "file"
         store.get(f"{OBJECTS}/{file.digest}", half)
-        if half.stat().st_size != file.size or _digest(half) != file.digest:
+        if half.stat().st_size != file.size or hash_file(half) != file.digest:
             raise FormatError(
                 "its bytes are not those that were uploaded",
                 file=f"{store.url}: {file.path}",
@@ -428,17 +428,6 @@ def _side_by_side(work: Sequence[Callable[[], None]], stage: str, progress: Prog
             for future in waiting:
                 future.cancel()
             raise
-
-
-def _digest(path: Path) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    try:
-        with open(path, "rb") as stream:
-            while block := stream.read(_BLOCK):
-                digest.update(block)
-    except OSError as error:
-        raise storage_error(error, path, "read") from error
-    return digest.hexdigest()
 
 
 def _seal(manifest: RemoteFolder) -> str:

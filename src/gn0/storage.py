@@ -383,6 +383,20 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
     return digest.hexdigest()
 
 
+def hash_file(path: Path | str) -> str:
+    """A hex digest of a file's bytes.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    path = plain_path(path)
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+    except OSError as error:
+        raise storage_error(error, path, "read") from error
+
+
 def array_head(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     """What `content_hash` says of an array before its bytes; `dtype` is little-endian."""
     head = f"a{dtype.str}{shape}".encode()

@@ -85,7 +85,7 @@ def write_study(
     before = PageBefore() if onto is None else load_page(onto)
     judged, verdicts = _judge(found, before)
     write_text(out, "\n".join(_list_lines(found, before, preface, judged, verdicts)) + "\n")
-    if before.used:
+    if onto is not None:  # none: the page is of another study, or all was walked again
         say(f"{counted(len(before.used), 'row')} of {onto}, of more seeds than what is here")
     return judged
 

@@ -49,7 +49,6 @@ PACKAGES = {
     "abfs": "adlfs", "file": "", "memory": "",
 }  # fmt: skip
 _URL = re.compile(rf"({'|'.join(PACKAGES)})://(.+)")
-_BLOCK = 2**20
 # what tells one version of a file from the next, the first that a store gives
 _VERSIONS = (
     "ETag", "etag", "sha256", "blob_id", "oid", "md5Hash", "crc32c", "mtime", "LastModified",

@@ -43,7 +43,7 @@
 #   LEG_LOTS  lots that these legs learn in (a b c, and d and e where there are such), as "a b e"
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
-#   LEGS      jobs of the chain for the policy in the box (7); FROM, LEG: the policy that leg LEG goes on from, where
+#   LEGS      jobs of the chain for the policy in the box (8); FROM, LEG: the policy that leg LEG goes on from, where
 #             earlier legs were made elsewhere
 #   MIX       inputs of these legs, with their shares (all:0.5,views:0.3,maps:0.2); the next leg may have others:
 #             MIX=maps:1 runs/ablation.sh OUT full shipped-1, then without MIX, shipped-2
@@ -63,7 +63,7 @@ MINUTES=${MINUTES:-9} WALL=$(awk -v minutes="${WALL:-0}" 'BEGIN {print int(60 * 
 read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views maps)}"
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
 MIX=${MIX:-all:0.5,views:0.3,maps:0.2}
-LEGS=${LEGS:-7} LEG=${LEG:-1} FROM=${FROM:-} DRAW_AFTER=${DRAW_AFTER:-6}
+LEGS=${LEGS:-8} LEG=${LEG:-1} FROM=${FROM:-} DRAW_AFTER=${DRAW_AFTER:-6}
 TRUNK_JOINS=${JOINS:-}
 [ "$TRUNK_JOINS" != none ] || TRUNK_JOINS=
 WORKERS=${WORKERS:-$(($(nproc) > 1 ? $(nproc) - 1 : 1))}

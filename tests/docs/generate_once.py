@@ -1,9 +1,9 @@
 """`gn0` as the documents' blocks find it: what many pages generate alike is generated once.
 
-A generated scene depends on what was typed and on nothing else, which tests of `scene generate`
-hold, and one flat of the pages is half a minute of work. So the first page to type one such command
-runs it, in its own folder; where another page types the very same, what came of it is laid there.
-Everything else is run as it is.
+A generated scene depends on what was typed and on nothing else, not on where it is laid either,
+which tests of `scene generate` hold, and one flat of the pages is half a minute of work. So the
+first page to type one such command runs it, in its own folder; where another page types the same,
+for a folder of whatever name, what came of it is laid there. Everything else is run as it is.
 
     python generate_once.py GN0 KEPT scene generate ...
 """
@@ -25,7 +25,9 @@ def main(real: str, kept: Path, typed: list[str]) -> int:
     out = Path(dict(itertools.pairwise(typed)).get("--out", ""))
     if typed[:2] != ["scene", "generate"] or out == Path() or out.exists():
         os.execv(real, [real, *typed])  # the same process: pages stop servers by its number
-    kept /= hashlib.blake2b("\0".join(typed).encode(), digest_size=12).hexdigest()
+    alike = [f"anywhere{out.suffix}" if one == str(out) else one for one in typed]
+    kept /= hashlib.blake2b("\0".join(alike).encode(), digest_size=12).hexdigest()
+    here = str(out).encode()
     kept.mkdir(parents=True, exist_ok=True)
     with alone(kept):
         if not (kept / "said").exists():
@@ -33,10 +35,10 @@ def main(real: str, kept: Path, typed: list[str]) -> int:
             sys.stdout.buffer.write(done.stdout)
             if done.returncode == 0:
                 copy(out, kept / "out")
-                (kept / "said").write_bytes(done.stdout)
+                (kept / "said").write_bytes(done.stdout.replace(here, b"\0"))
             return done.returncode
         copy(kept / "out", out)
-        sys.stdout.buffer.write((kept / "said").read_bytes())
+        sys.stdout.buffer.write((kept / "said").read_bytes().replace(b"\0", here))
         return 0
 
 

@@ -75,7 +75,7 @@ def test_what_was_generated_is_laid_where_the_same_is_typed_again(tmp_path: Path
     """Once for each text of a command, and never in place of what lies there or of other verbs."""
     real = tmp_path / "real"
     real.write_text(
-        '#!/bin/sh\necho "$@" >> "$LOG"\necho made\nmkdir -p $5 && echo "$@" > $5/scene'
+        '#!/bin/sh\necho "$@" >> "$LOG"\necho made $5\nmkdir -p $5 && echo "$3" > $5/scene'
     )
     real.chmod(0o700)
 
@@ -87,17 +87,18 @@ def test_what_was_generated_is_laid_where_the_same_is_typed_again(tmp_path: Path
             cwd=tmp_path / page, env={**os.environ, "LOG": str(tmp_path / "log")},
             capture_output=True, text=True, check=True,
         )  # fmt: skip
-        assert (tmp_path / page / typed[4] / "scene").read_text() == f"{' '.join(typed)}\n"
+        assert (tmp_path / page / typed[4] / "scene").read_text() == f"{typed[2]}\n"
         return done.stdout
 
     flat = ("scene", "generate", "--seed=3", "--out", "out/flat")
     home = (*flat[:-1], "out/home")
-    for page, *typed in (("a", *flat), ("b", *flat), ("b", *home), ("b", *flat)):
-        assert type_in(page, *typed) == "made\n"
+    capture = (*flat[:-1], "out/scan.splat")
+    for page, *typed in (("a", *flat), ("b", *flat), ("b", *home), ("b", *flat), ("b", *capture)):
+        assert type_in(page, *typed) == f"made {typed[-1]}\n"
     for page in ("a", "b"):
         type_in(page, "bench", "suite", "--seed=3", "--out", "out/suite")
     run = [line.rpartition("/")[2] for line in (tmp_path / "log").read_text().splitlines()]
-    assert run == ["flat", "home", "flat", "suite", "suite"]
+    assert run == ["flat", "flat", "scan.splat", "suite", "suite"]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: d.name)

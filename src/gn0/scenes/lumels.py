@@ -185,6 +185,13 @@ def _reached(x, y, z, ix, iy, cell, reach, top):  # type: ignore[no-untyped-def]
     return max(0, int(np.floor((z - far) / cell))), min(top, int(np.floor((z + far) / cell)) + 1)
 
 
+@njit(inline="always")
+def _farthest(weight, reach):  # type: ignore[no-untyped-def]
+    """How far a lumel of at least that weight may lie: none is above near² + 1e-9 near."""
+    near = np.sqrt(max(weight - 1e-9, 0.0)) * 0.9999  # and by both factors none is lost
+    return min(reach, 1.0001 * reach * np.sqrt(1.0 - near))
+
+
 @njit(parallel=True, error_model="numpy")
 def _lookup(point, normal, reach, across, origin, shape, first, two_sided, values, query, facing):  # type: ignore[no-untyped-def]
     channels = values.shape[1]
@@ -224,11 +231,20 @@ def _nearest(point, normal, reach, across, origin, shape, first, two_sided, quer
         cell = reach / across
         x, y, z = px - origin[0], py - origin[1], pz - origin[2]
         cx, cy = int(np.floor(x / cell)), int(np.floor(y / cell))
+        cz = int(np.floor(z / cell))
+        # most of those that are within reach are further than one of its own cell may be
+        least = 0.0
+        if 0 <= cx < shape[0] and 0 <= cy < shape[1] and 0 <= cz < shape[2]:
+            row = (cx * shape[1] + cy) * shape[2] + cz
+            for i in range(first[row], first[row + 1]):
+                w = _weight(point, normal, i, px, py, pz, nx, ny, nz, reach, two_sided)
+                least = max(least, w)
+        far = _farthest(least, reach)
         best = 0.0
         for ix in range(max(0, cx - across), min(shape[0], cx + across + 1)):
             for iy in range(max(0, cy - across), min(shape[1], cy + across + 1)):
                 row = (ix * shape[1] + iy) * shape[2]
-                lo, hi = _reached(x, y, z, ix, iy, cell, reach, shape[2])
+                lo, hi = _reached(x, y, z, ix, iy, cell, far, shape[2])
                 if lo >= hi:
                     continue
                 for i in range(first[row + lo], first[row + hi]):

@@ -326,6 +326,14 @@ class Clock:
         )
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Where slow tests alone are asked for, a file that marks none is not even read in."""
+    if not config.getoption("markexpr").startswith("slow"):
+        return None
+    file = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    return True if file and b"slow" not in collection_path.read_bytes().lower() else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection(session: pytest.Session) -> None:
     """What is collected is there to stay: it is no garbage, however often one looks."""

@@ -84,15 +84,17 @@ def test_finer_cells_of_the_search_find_the_same_light(room: SceneMesh) -> None:
     np.testing.assert_allclose(away, np.linalg.norm(two.point[far] - point, axis=1), atol=1e-3)
 
 
-@pytest.mark.parametrize("two_sided", [False, True])
-def test_the_nearest_lumel_has_the_largest_share(room: SceneMesh, two_sided: bool) -> None:
+@pytest.mark.parametrize(("across", "two_sided"), [(1, False), (1, True), (2, False)])
+def test_the_nearest_lumel_has_the_largest_share(
+    room: SceneMesh, across: int, two_sided: bool
+) -> None:
     """Of all lumels, each asked what it brings to a point: none that was passed over says more."""
     face, bary = places(room)
     rng = np.random.default_rng(5)
     point = np.einsum("nk,nki->ni", bary, room.corners()[face])
     point = (point + rng.normal(0, 0.01, point.shape)).astype(np.float32)
     normal = room.normals()[face].astype(np.float32)
-    lumels = build_lumels(room, charts_of(room), 0.2, two_sided=two_sided)
+    lumels = build_lumels(room, charts_of(room), 0.2, two_sided=two_sided, across=across)
     shares = np.empty((len(point), len(lumels)), np.float32)
     for first in range(0, len(lumels), 3):
         alone = np.zeros((len(lumels), 3), np.float32)

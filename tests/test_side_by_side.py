@@ -72,3 +72,11 @@ def test_what_takes_longest_is_still_there(pytestconfig: pytest.Config) -> None:
     if (here.parent / "docs").exists():
         known = {page.name for page in (here.parent / "docs").glob("*.md")} | {"README.md"}
         assert {one[1:-1] for one in ours.DEAREST} - {one[1:-1] for one in files} <= known
+
+
+def test_slow_tests_are_marked_where_they_stand() -> None:
+    """A run of slow tests alone reads in no file that lacks the word: no mark comes from others."""
+    here = Path(__file__).parent
+    others = [path for path in here.rglob("*.py") if not path.name.startswith("test_")]
+    assert others
+    assert not [path for path in others if "mark.slow" in path.read_text("utf-8")]

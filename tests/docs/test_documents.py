@@ -72,7 +72,7 @@ def test_every_command_block_runs(document: Path, tmp_path: Path, commands: str)
 
 
 def test_what_was_generated_is_laid_where_the_same_is_typed_again(tmp_path: Path) -> None:
-    """Once for each text of a command, and never in place of what lies there or of other verbs."""
+    """Once for a command, wherever to; never in place of what lies there or of other verbs."""
     real = tmp_path / "real"
     real.write_text(
         '#!/bin/sh\necho "$@" >> "$LOG"\necho made $5\nmkdir -p $5 && echo "$3" > $5/scene'

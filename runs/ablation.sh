@@ -15,6 +15,7 @@
 #   WHEELS    folder of wheels that a machine without a network lacks; they are unpacked into OUT/site, and gn0 itself is
 #             taken from this checkout
 #   EACH      cards of a trunk or a leg (all), so that two of them may be trained side by side
+#   ROUND_CARDS  cards of DAgger in rounds, and of SFT that goes on as long (1), which share each batch
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU); 0,0,0 runs
 #             three jobs side by side on one, which walks have room for
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
@@ -348,6 +349,7 @@ job() {
 
 SHARE=$(($(nproc) > ${#CARDS[@]} && ${#CARDS[@]} > 0 ? $(nproc) / ${#CARDS[@]} : 1))  # cores of a card
 ALL=${EACH:-$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))}  # cards of a trunk
+ROUNDS=${ROUND_CARDS:-1}
 rest=$(printf ',homes-%s' "${LOTS[@]%% *}")
 rest=${rest:1}
 chain_rest=$(printf ',homes-%s' $LEG_LOTS)
@@ -357,8 +359,8 @@ chain_rest=${chain_rest:1}
 arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
   local cell=$1 seed=$2
   job "$cell-sft-$seed" homes-a "$ALL" sft "$cell-sft-$seed" "$cell" "$seed"
-  job "$cell-longer-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dagger "$cell-longer-$seed" "$cell-sft-$seed" "$seed" --driver expert "${ROUND[@]}"
-  job "$cell-dagger-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dagger "$cell-dagger-$seed" "$cell-sft-$seed" "$seed" "${ROUND[@]}"
+  job "$cell-longer-$seed" "$cell-sft-$seed,$rest" "$ROUNDS" after_trunk dagger "$cell-longer-$seed" "$cell-sft-$seed" "$seed" --driver expert "${ROUND[@]}"
+  job "$cell-dagger-$seed" "$cell-sft-$seed,$rest" "$ROUNDS" after_trunk dagger "$cell-dagger-$seed" "$cell-sft-$seed" "$seed" "${ROUND[@]}"
   job "$cell-dapo-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dapo "$cell-dapo-$seed" "$cell-sft-$seed" "$seed" "${DAPO[@]}"
   job "$cell-live-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dagger "$cell-live-$seed" "$cell-sft-$seed" "$seed" --live "${LIVE[@]}"
   job "$cell-dagger_dapo-$seed" "$cell-dagger-$seed" 1 after_trunk dapo "$cell-dagger_dapo-$seed" "$cell-dagger-$seed" "$seed" "${DAPO[@]}"

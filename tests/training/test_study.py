@@ -445,27 +445,38 @@ case "$3 $4" in missions*) mkdir -p "${{@: -1}}" && echo {{}} > "${{@: -1}}/mani
     return told
 
 
-def _plan(out: Path) -> set[str]:
-    """Names of the jobs of runs/ablation.sh."""
+def _plan(out: Path, **more: str) -> dict[str, str]:
+    """Jobs of runs/ablation.sh by name, with the number of their cards."""
     told = subprocess.run(
         ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "plan"],
-        env={**os.environ, "GPUS": "0,1"}, capture_output=True, text=True, check=True,
+        env={**os.environ, "GPUS": "0,1", **more}, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    return {line[10:].split()[0] for line in told.stdout.splitlines()[1:]}
+    lines = (line[10:].split() for line in told.stdout.splitlines()[1:])
+    return {name: cards for name, cards, *_ in lines}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_every_row_of_the_study_has_its_jobs(tmp_path: Path) -> None:
     """Commands name jobs that there are, and folders are those that the jobs write."""
-    jobs = _plan(tmp_path / "out")
+    jobs = {seeds: _plan(tmp_path / "out", SEEDS=seeds) for seeds in ("0 1 2", "3")}
     study = load_study(ROOT / "runs/ablation/study.yaml")
     for arm in study.arms:
         pattern = arm.command.split("'")[1]
-        assert any(fnmatch(name, pattern) for name in jobs), arm.name
+        named = jobs["3" if arm.command.startswith("SEEDS=3 ") else "0 1 2"]
+        assert any(fnmatch(name, pattern) for name in named), arm.name
         for seed in arm.seeds:
             run = arm.folder(arm.run, seed).removeprefix("runs/")
-            there = run in jobs or run in ("", "shipped")  # the last leg, whichever it is
+            there = run in named or run in ("", "shipped")  # the last leg, whichever it is
             assert there, f"{arm.name}: no job makes {run}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_rounds_of_dagger_and_their_control_may_share_cards(tmp_path: Path) -> None:
+    """As many for both, so that they are compared alike; other arms have one card as ever."""
+    jobs = _plan(tmp_path / "out", ROUND_CARDS="2")
+    for arm, cards in (("longer", "2"), ("dagger", "2"), ("dapo", "1"), ("live", "1")):
+        assert jobs[f"all-{arm}-0"] == cards
+    assert _plan(tmp_path / "out")["all-dagger-0"] == "1"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

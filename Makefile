@@ -71,7 +71,7 @@ BAE_PYTEST = OMP_NUM_THREADS=1 $(BAE)/bin/python -m pytest -p no:cacheprovider -
 # the study's own tests need no torch: `make test` and `make test-all` run them
 bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes
 	$(BAE_PYTEST) "tests/docs/test_documents.py::test_every_command_block_runs[training.md]" \
-	  tests/policies/bae tests/policies/cma tests/policies/qwen tests/training --ignore tests/training/test_study.py \
+	  tests/policies/bae tests/policies/cma tests/policies/qwen tests/training --ignore tests/training/test_study.py --ignore tests/training/test_study_scripts.py \
 	  "tests/cli/test_compile_ahead.py::test_the_list_has_all_that_a_job_calls[train]" $(PYTEST_FLAGS)
 	PYTHONPATH=$(BAE)/oldest $(BAE_PYTEST) -m 'not slow' tests/policies/bae $(BAE_OLDEST) $(PYTEST_FLAGS)
 

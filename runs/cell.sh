@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # A cell of the study on a machine that is lent for half an hour, with nothing to decide in between: its trunk on all cards,
-# DAgger on all of them, then the other arms, and every walk as soon as there is a policy for it. Whenever a job has ended,
-# tables and logs are packed, so that a machine that is taken back costs what ran then and no more.
+# DAgger and its control on all of them, then the other arms, and every walk as soon as there is a policy for it. Whenever a
+# job has ended, tables and logs are packed, so that a machine that is taken back costs what ran then and no more.
 #
 #   runs/cell.sh OUT                            view, mosaic, near and far map: SFT, DAgger, DAPO, DAPO after DAgger
 #   INPUT=views ARMS="dagger longer live dapo dagger_dapo" runs/cell.sh OUT
@@ -11,7 +11,7 @@
 # Environment: that of runs/ablation.sh, and
 #   SIZE      full, or tiny
 #   INPUT     of the cell (all), SEED (0)
-#   ARMS      beside the trunk (dagger dapo dagger_dapo); dagger goes before all others
+#   ARMS      beside the trunk (dagger dapo dagger_dapo); dagger and longer go before all others
 #   MORE      jobs beside their walks, as "all-dagger_dapo-0.controls" (none)
 #   TRUNK_UNTIL  seconds since 1970 by which the trunk ends (MINUTES from when it begins); it is said to have OPENING (65)
 #             seconds less, in which it opens its homes and compiles
@@ -60,16 +60,20 @@ set -m  # all of it is one process group, which ends with this script
 {
   set +m
   trunk=$INPUT-sft-$SEED
-  walks=("$trunk".walks "$trunk".drawn) later=()
+  walks=("$trunk".walks "$trunk".drawn) rounds=() later=()
   for arm in $ARMS; do
     walks+=("$INPUT-$arm-$SEED".walks "$INPUT-$arm-$SEED".drawn)
-    [ "$arm" = dagger ] || later+=("$INPUT-$arm-$SEED")
+    case $arm in
+      dagger) rounds=("$INPUT-$arm-$SEED" "${rounds[@]}") ;;
+      longer) rounds+=("$INPUT-$arm-$SEED") ;;
+      *) later+=("$INPUT-$arm-$SEED") ;;
+    esac
   done
   pack_whenever_a_job_ends &
   packer=$!
   jobs_of "$GPUS" "${MINUTES:-9}" homes-a
   jobs_of "$GPUS" "$(clock "$TRUNK_UNTIL")" "homes-[bc]" "$trunk" homes-exam
-  [[ " $ARMS " != *" dagger "* ]] || jobs_of "$GPUS" 0 "$INPUT-dagger-$SEED"
+  [ ${#rounds[@]} = 0 ] || jobs_of "$GPUS" 0 "${rounds[@]}"
   # two jobs a card side by side: walks leave room beside an arm
   # shellcheck disable=SC2086
   jobs_of "$GPUS${GPUS:+,$GPUS}" "$(clock "$ARMS_UNTIL")" "${later[@]}" "${walks[@]}" ${MORE:-}

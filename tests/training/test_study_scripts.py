@@ -357,15 +357,15 @@ def test_a_cell_is_trained_by_the_clock_and_packed_whenever_a_job_ends(tmp_path:
     done = subprocess.run(
         ["bash", str(ROOT / "runs/cell.sh"), str(out)], capture_output=True, text=True,
         env={**os.environ, "PYTHON": str(python), "PATH": f"{bin_}:{os.environ['PATH']}",
-             "INPUT": "views", "SEED": "7", "ARMS": "dapo dagger", "MORE": "untrained",
+             "INPUT": "views", "SEED": "7", "ARMS": "longer dapo dagger", "MORE": "untrained",
              "PACK_EVERY": "0.1", "OPENING": "60", "TRUNK_UNTIL": str(now + 960),
              "ARMS_UNTIL": str(now + 1560), "EXAMS_UNTIL": str(now + 1800)},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     called = [line.split() for line in (tmp_path / "cards").read_text().splitlines()]
     jobs = {line[-1].rpartition("/")[2]: line for line in called if "train" in line}
-    assert list(jobs)[:2] == ["views-sft-7", "views-dagger-7"]  # whatever ARMS names first
-    assert [jobs[name][0] for name in jobs] == ["0,1", "0,1", "0"]
+    assert list(jobs) == [f"views-{arm}-7" for arm in ("sft", "dagger", "longer", "dapo")]
+    assert [jobs[name][0] for name in jobs] == ["0,1", "0,1", "0,1", "0"]
 
     def minutes(name: str) -> float:
         return float(jobs[name][jobs[name].index("--minutes") + 1])
@@ -375,12 +375,12 @@ def test_a_cell_is_trained_by_the_clock_and_packed_whenever_a_job_ends(tmp_path:
     walked = sorted(
         str(file.parent.relative_to(out / "walks")) for file in out.rglob("walks.jsonl")
     )
-    assert walked == [f"views-{arm}-7/{exam}" for arm in ("dagger", "dapo", "sft")
+    assert walked == [f"views-{arm}-7/{exam}" for arm in ("dagger", "dapo", "longer", "sft")
                       for exam in ("drawn", "seen", "unseen")]  # fmt: skip
     assert {line[0] for line in called if "examine" in line} == {"0", "1"}
     assert (out / "jobs/untrained.done").is_file() and (out / "pack/tables.tar.gz.aa").is_file()
     seen = (tmp_path / "packed").read_text().splitlines()
-    assert len(seen) > len(set(seen)) == 9  # some were packed before the last
+    assert len(seen) > len(set(seen)) == 12  # some were packed before the last
     assert not list((out / "jobs").glob("*.failed"))
 
 

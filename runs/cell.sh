@@ -13,10 +13,12 @@
 #   INPUT     of the cell (all), SEED (0)
 #   ARMS      beside the trunk (dagger dapo dagger_dapo); dagger and longer go before all others
 #   MORE      jobs beside their walks, as "all-dagger_dapo-0.controls" (none)
-#   TRUNK_UNTIL  seconds since 1970 by which the trunk ends (MINUTES from when it begins); it is said to have OPENING (65)
-#             seconds less, in which it opens its homes and compiles
-#   ARMS_UNTIL   by which arms end that have a clock (MINUTES; DAgger in rounds and SFT as long have none)
+#   TRUNK_UNTIL  seconds since 1970 by which the trunk ends (after MINUTES); a cell whose trunk is not done ends there
+#   ARMS_UNTIL   by which arms end that have a clock (after MINUTES; DAgger in rounds and SFT as long have none)
+#   OPENING   seconds of both that go into opening homes and compiling (65)
 #   EXAMS_UNTIL  by which everything ends (never)
+#   ROUND_CARDS  of DAgger in rounds, and of SFT as long (all)
+#   PACK_EVERY   seconds between looks at whether a job has ended (15)
 set -uo pipefail
 
 OUT=${1:?usage: runs/cell.sh OUT}
@@ -73,11 +75,14 @@ set -m  # all of it is one process group, which ends with this script
   packer=$!
   jobs_of "$GPUS" "${MINUTES:-9}" homes-a
   jobs_of "$GPUS" "$(clock "$TRUNK_UNTIL")" "homes-[bc]" "$trunk" homes-exam
-  [ ${#rounds[@]} = 0 ] || jobs_of "$GPUS" 0 "${rounds[@]}"
-  # two jobs a card side by side: walks leave room beside an arm
-  # shellcheck disable=SC2086
-  jobs_of "$GPUS${GPUS:+,$GPUS}" "$(clock "$ARMS_UNTIL")" "${later[@]}" "${walks[@]}" ${MORE:-}
   code=$?
+  if [ -f "$OUT/jobs/$trunk.done" ]; then  # else the arms would begin it again, without its clock
+    [ ${#rounds[@]} = 0 ] || jobs_of "$GPUS" 0 "${rounds[@]}"
+    # two jobs a card side by side: walks leave room beside an arm
+    # shellcheck disable=SC2086
+    jobs_of "$GPUS${GPUS:+,$GPUS}" "$(clock "$ARMS_UNTIL")" "${later[@]}" "${walks[@]}" ${MORE:-}
+    code=$?
+  fi
   kill "$packer"
   wait "$packer"
   pack

@@ -384,30 +384,46 @@ def test_a_cell_is_trained_by_the_clock_and_packed_whenever_a_job_ends(tmp_path:
     assert not list((out / "jobs").glob("*.failed"))
 
 
-def test_a_cell_without_a_clock_is_rehearsed_on_a_cpu(tmp_path: Path) -> None:
-    python, out = tmp_path / "python", tmp_path / "out"
+def _rehearse_cell(folder: Path, after: str = "", **more: str) -> tuple[int, str]:
+    """Code and words of a cell in miniature, whose stand-in for gn0 ends with `after`."""
+    python = folder / "python"
     text = (STAND_IN.replace('|| exec {python} "$@"', "|| :") + CELL).format(
-        python=sys.executable, folder=tmp_path
+        python=sys.executable, folder=folder
     )
-    python.write_text(text)
+    python.write_text(text + after)
     python.chmod(0o755)
     done = subprocess.run(
-        ["bash", str(ROOT / "runs/cell.sh"), str(out)], capture_output=True, text=True,
-        env={**os.environ, "PYTHON": str(python), "SIZE": "tiny", "PACK_EVERY": "0.1", "GPUS": ""},
+        ["bash", str(ROOT / "runs/cell.sh"), str(folder / "out")], capture_output=True, text=True,
+        env={**os.environ, "PYTHON": str(python), "SIZE": "tiny", "PACK_EVERY": "0.1", "GPUS": "",
+             **more},
     )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert {one.name for one in (out / "walks").iterdir()} == {
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_cell_without_a_clock_is_rehearsed_on_a_cpu(tmp_path: Path) -> None:
+    code, said = _rehearse_cell(tmp_path)
+    assert code == 0, said
+    assert {one.name for one in (tmp_path / "out/walks").iterdir()} == {
         f"all-{arm}-0" for arm in ("sft", "dagger", "dapo", "dagger_dapo")
     }
-    (python).write_text(text + '[ "$3 $4" != "train dapo" ] || exit 9\n')
-    shutil.rmtree(out)
-    done = subprocess.run(
-        ["bash", str(ROOT / "runs/cell.sh"), str(out)], capture_output=True, text=True,
-        env={**os.environ, "PYTHON": str(python), "SIZE": "tiny", "PACK_EVERY": "0.1", "GPUS": ""},
-    )  # fmt: skip
-    assert done.returncode == 1 and "failed all-dapo-0: status 9" in done.stdout
-    assert (out / "pack/tables.tar.gz.aa").is_file()  # what there is
-    assert (out / "jobs/all-dagger-0.walks.done").is_file()
+
+
+def test_an_arm_that_fails_takes_no_other_with_it(tmp_path: Path) -> None:
+    code, said = _rehearse_cell(tmp_path, '[ "$3 $4" != "train dapo" ] || exit 9\n')
+    assert code == 1 and "failed all-dapo-0: status 9" in said
+    assert (tmp_path / "out/pack/tables.tar.gz.aa").is_file()  # what there is
+    assert (tmp_path / "out/jobs/all-dagger-0.walks.done").is_file()
+
+
+@pytest.mark.parametrize(("does", "ends"), [("exit 9", "failed"), ("exec sleep 60", "cut")])
+def test_a_cell_ends_with_its_trunk_where_that_is_not_done(tmp_path: Path, does, ends) -> None:
+    """Arms would begin it again, with no clock; what there is is packed all the same."""
+    _have_homes(tmp_path / "out", "a", "b", "exam")
+    until = {"EXAMS_UNTIL": str(int(time.time()) + 3)} if ends == "cut" else {}
+    code, said = _rehearse_cell(tmp_path, f'[ "$3 $4" != "train sft" ] || {does}\n', **until)
+    assert code == (3 if ends == "cut" else 1) and f"{ends} all-sft-0" in said
+    assert said.count("begin ") == 1
+    assert (tmp_path / "out/pack/tables.tar.gz.aa").is_file()
 
 
 def _have_homes(out: Path, *lots: str) -> None:
@@ -469,7 +485,10 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def test_a_leg_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("script", "verbs"), [("leg.sh", {"figures", "scene"}), ("cell.sh", {"scene"})]
+)
+def test_a_script_that_is_ended_leaves_nothing_behind(tmp_path: Path, script, verbs) -> None:
     """Neither its figure nor a job of its chain, whose stand-ins would go on for a minute."""
     (tmp_path / "python").write_text(f"""#!/bin/bash
 case "$*" in *metadata*) exit ;; -c*) echo 0 && exit ;; esac
@@ -477,17 +496,17 @@ echo $$ "$3" >> {tmp_path}/begun && exec sleep 60
 """)
     (tmp_path / "python").chmod(0o755)
     leg = subprocess.Popen(
-        ["bash", str(ROOT / "runs/leg.sh"), str(tmp_path / "out")],
+        ["bash", str(ROOT / "runs" / script), str(tmp_path / "out")],
         env={**os.environ, "PYTHON": str(tmp_path / "python"), "SIZE": "tiny"},
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     begun, until = tmp_path / "begun", time.monotonic() + 30
     while time.monotonic() < until and (
-        not begun.exists() or len(begun.read_text().splitlines()) < 2
+        not begun.exists() or len(begun.read_text().splitlines()) < len(verbs)
     ):
         time.sleep(0.05)
     lines = [line.split() for line in begun.read_text().splitlines()]
-    assert {verb for _, verb in lines} == {"figures", "scene"}
+    assert {verb for _, verb in lines} == verbs
     leg.terminate()
     assert leg.wait(timeout=30) == 130
     left, until = {int(process) for process, _ in lines}, time.monotonic() + 15

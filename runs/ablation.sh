@@ -17,7 +17,8 @@
 #   EACH      cards of a trunk or a leg (all), so that two of them may be trained side by side
 #   ROUND_CARDS  cards of DAgger in rounds, and of SFT that goes on as long (1), which share each batch
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU); 0,0,0 runs
-#             three jobs side by side on one, which walks have room for
+#             three jobs side by side on one, which walks have room for; with EACH=2 a trunk has two of these three places, so
+#             that no two trunks meet on the card and walks go on beside each
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
 #   LEG_MINUTES  of a leg of the chain (as MINUTES); UNTIL: seconds since 1970 by which its training ends, whatever came
 #             before it took
@@ -422,6 +423,7 @@ for input in "${INPUTS[@]}"; do  # DAgger once, of states that are less alike
   job "$spread.walks" "$spread,$rest" 1 walks "$spread"
   job "$spread.drawn" "$spread,homes-exam" 1 drawn "$spread"
 done
+row unchanged sft  # what the other rows are measured by
 row oracle_map sft --map-paint categories
 row paper_inputs sft --without paper
 row uniform sft --source uniform
@@ -547,7 +549,7 @@ begin() { # JOB CARDS: in a process group of its own
   rm -f "$OUT/jobs/$1".{done,failed,cut}
   say "begin $1${2:+ on card $2}"
   (
-    export CUDA_VISIBLE_DEVICES=$2
+    export CUDA_VISIBLE_DEVICES=$(tr , '\n' <<< "$2" | awk '!seen[$0]++' | paste -sd,)  # several places on a card are one card
     if [ -n "$2" ]; then  # its share of the cores: four jobs that each took all of them opened 400 scenes in 190 s
       export NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-$SHARE} OMP_NUM_THREADS=${OMP_NUM_THREADS:-$SHARE}
     fi

@@ -555,6 +555,32 @@ def test_a_job_on_two_cards_is_started_once_by_torchrun(tmp_path: Path) -> None:
     assert f"train sft {out}/suites/a " in line
 
 
+def test_trunks_pass_one_another_on_a_card_and_walks_go_on_beside_them(tmp_path: Path) -> None:
+    """Of three places on a card a trunk has two, and yet is one process on one card."""
+    out, told = tmp_path / "out", tmp_path / "told"
+    (tmp_path / "python").write_text(f"""#!/bin/bash
+name="$3 $4 $(basename "${{@: -1}}")"
+echo "$CUDA_VISIBLE_DEVICES+ $name" >> {told}
+case "$3" in train) sleep 0.5 ;; policy) sleep 0.2 ;; esac
+echo "$CUDA_VISIBLE_DEVICES- $name" >> {told}
+""")
+    (tmp_path / "python").chmod(0o755)
+    _have_homes(out, "a", "b", "c", "exam")
+    jobs = [f"{name}-0{end}" for name in ("scenes_50", "unchanged") for end in ("", ".walks")]
+    subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", *jobs],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0,0,0", "EACH": "2"},
+        capture_output=True, check=True,
+    )  # fmt: skip
+    lines = told.read_text().splitlines()
+    assert {line[:3] for line in lines} == {"0+ ", "0- "}
+    trunks = [line for line in lines if "train sft" in line]
+    assert trunks == [f"0{on} train sft {name}-0" for name in ("scenes_50", "unchanged")
+                      for on in "+-"]  # fmt: skip
+    walked = next(k for k, line in enumerate(lines) if line.startswith("0- policy examine"))
+    assert lines.index(trunks[2]) < walked < lines.index(trunks[3])
+
+
 def test_a_study_in_miniature_does_not_say_what_the_full_one_found(tmp_path: Path) -> None:
     done = subprocess.run(
         ["bash", str(ROOT / "runs/ablation.sh"), str(tmp_path / "out"), "tiny", "study"],

@@ -561,7 +561,12 @@ def test_trunks_pass_one_another_on_a_card_and_walks_go_on_beside_them(tmp_path:
     (tmp_path / "python").write_text(f"""#!/bin/bash
 name="$3 $4 $(basename "${{@: -1}}")"
 echo "$CUDA_VISIBLE_DEVICES+ $name" >> {told}
-case "$3" in train) sleep 0.5 ;; policy) sleep 0.2 ;; esac
+heard() {{ for ((k = 0; k < 100; k++)); do grep -q "$1" {told} && return; sleep 0.1; done; }}
+case "$name" in
+  *" sft scenes_50-0") sleep 0.5 ;;
+  *" sft unchanged-0") heard "0- policy examine" ;;  # who stands beside the other waits for it
+  "policy examine "*) heard "0+ train sft unchanged" ;;
+esac
 echo "$CUDA_VISIBLE_DEVICES- $name" >> {told}
 """)
     (tmp_path / "python").chmod(0o755)
